@@ -1,0 +1,3 @@
+//! Library behind the `eecvs` command.
+
+pub mod formats;

@@ -1,0 +1,2 @@
+//! The `eecvs` command.
+fn main() {}

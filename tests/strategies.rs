@@ -1,0 +1,1 @@
+//! Proptest generators shared by the integration tests and the fuzz targets.

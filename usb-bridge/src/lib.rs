@@ -1,0 +1,1 @@
+//! USB link of event cameras and of the encoder's MCU.
