@@ -1,6 +1,48 @@
-//! Fixed-point, no-heap encoder for event cameras.
+//! Fixed-point, no-heap encoder for event cameras: windows of events to transform coefficients.
+//!
+//! ```text
+//! events -> window -> density -> regime -> group -> accumulate -> prune -> quantise -> pack -> frame
+//! ```
+//!
+//! One stage, one file. Every buffer is lent by the caller or sits in [`Storage`]; nothing
+//! allocates, nothing uses floating point on the way from an event to a frame, and the same code
+//! gives the same bits on a microcontroller and on a host. Feature `defmt` derives `defmt::Format`
+//! on the public types; there is no other.
 #![no_std]
 
-pub mod event;
+#[cfg(test)]
+extern crate std;
 
+pub mod atom;
+pub mod bits;
+pub mod density;
+pub mod descriptor;
+pub mod encoder;
+pub mod event;
+pub mod fixed_point;
+pub mod frame;
+pub mod group;
+pub mod link;
+pub mod pack;
+pub mod phase;
+pub mod prune;
+pub mod quantise;
+pub mod regime;
+pub mod storage;
+pub mod transform;
+pub mod window;
+
+pub use density::Density;
+pub use descriptor::Descriptor;
+pub use encoder::{Config, ConfigError, Encoder, OUTPUT_BYTES_MIN, Scratch, WindowEncoder};
 pub use event::{Event, Polarity, Sensor};
+pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom};
+pub use link::{Order, Scan, Sequence, scan};
+pub use pack::{Packing, UnpackError};
+pub use quantise::{Level, Quantiser};
+pub use regime::{Regime, Thresholds};
+pub use storage::{SetupError, Storage};
+pub use transform::Transform;
+pub use window::{
+    Closed, Counts, Push, Slot, Window, WindowBuffers, WindowConfig, bitmap_words, segments,
+};

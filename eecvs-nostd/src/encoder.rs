@@ -1,0 +1,403 @@
+//! The stages composed: events in, frames out.
+
+use core::ops::Range;
+
+use crate::bits::BitWriter;
+use crate::density::Density;
+use crate::descriptor::Descriptor;
+use crate::event::Event;
+use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
+use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, seal};
+use crate::group::{Chunks, Group, Pixel};
+use crate::pack::PIXEL_BYTES_MAX;
+use crate::phase::PhaseScale;
+use crate::prune::{Kept, largest, low_frequency};
+use crate::quantise::Quantiser;
+use crate::regime::Thresholds;
+use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, Impulse, M_MAX, Rule, Transform};
+use crate::window::{Closed, Push, Window, WindowConfig};
+
+/// Smallest output that always takes a frame with at least one pixel.
+pub const OUTPUT_BYTES_MIN: usize = HEADER_BYTES_MAX + PIXEL_BYTES_MAX + CRC_BYTES + 8;
+
+/// What the encoder is asked to do. Fixed while it runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Config {
+    /// Sensor and T.
+    pub window: WindowConfig,
+    /// Densities between the regimes.
+    pub thresholds: Thresholds,
+    /// One transform for every window, or `None` for the regime's (eq. 3).
+    pub transform: Option<Transform>,
+    /// M, 1 to 64.
+    pub m: u8,
+    /// K, 1 to 1024, or `None` for the transform's default.
+    pub grid: Option<u16>,
+    /// Quantiser of the coefficients.
+    pub quantiser: Quantiser,
+}
+
+/// Why a configuration cannot run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ConfigError {
+    /// M is not in 1..=64.
+    M,
+    /// K is not in 1..=1024.
+    Grid,
+    /// [`Scratch`] is smaller than the largest grid needs.
+    Scratch,
+}
+
+impl Config {
+    /// Largest K of any window.
+    const fn grid_max(&self) -> usize {
+        let mut most = 0;
+        let mut i = 0;
+        while i < Transform::ALL.len() {
+            let transform = Transform::ALL[i];
+            let used = match self.transform {
+                Some(only) => only as u8 == transform as u8,
+                None => true,
+            };
+            let grid = transform.grid_size(self.m, self.grid) as usize;
+            if used && grid > most {
+                most = grid;
+            }
+            i += 1;
+        }
+        most
+    }
+}
+
+/// Memory lent for the coefficients of one pixel: 2K of each, zeroed or not.
+#[derive(Debug)]
+pub struct Scratch<'b> {
+    /// Sums of a chunk.
+    pub sums: &'b mut [Sum],
+    /// Sums of a pixel of several chunks.
+    pub totals: &'b mut [WideSum],
+    /// Magnitudes and their copy.
+    pub magnitudes: &'b mut [u64],
+}
+
+/// The window being encoded.
+#[derive(Debug, Clone, Copy)]
+struct Task {
+    header: Header,
+    scale: PhaseScale,
+}
+
+/// Turns closed windows into frames. Apart from [`Window`], so that one window can be received
+/// while another is encoded.
+#[derive(Debug)]
+pub struct WindowEncoder<'b> {
+    config: Config,
+    scratch: Scratch<'b>,
+    impulses: [Impulse; CHUNK_EVENTS],
+    group: Group,
+    task: Option<Task>,
+    sequence: u32,
+}
+
+impl<'b> WindowEncoder<'b> {
+    /// An encoder over lent scratch memory.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub const fn new(config: Config, scratch: Scratch<'b>) -> Result<Self, ConfigError> {
+        if config.m == 0 || config.m as usize > M_MAX {
+            return Err(ConfigError::M);
+        }
+        if let Some(grid) = config.grid
+            && (grid == 0 || grid as usize > GRID_MAX)
+        {
+            return Err(ConfigError::Grid);
+        }
+        let numbers = 2 * config.grid_max();
+        if scratch.sums.len() < numbers
+            || scratch.totals.len() < numbers
+            || scratch.magnitudes.len() < numbers
+        {
+            return Err(ConfigError::Scratch);
+        }
+        Ok(Self {
+            config,
+            scratch,
+            impulses: [Impulse::NONE; CHUNK_EVENTS],
+            group: Group::new(),
+            task: None,
+            sequence: 0,
+        })
+    }
+
+    /// The configuration.
+    #[must_use]
+    pub const fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// Encodes the next frame of a closed window into `out` and returns where it lies, or `None`
+    /// when there is none left, which opens the window again.
+    ///
+    /// A window takes one frame where `out` has room for it, and else as many as it takes, each of
+    /// which decodes by itself. Cost follows the window's events.
+    ///
+    /// # Errors
+    /// [`NoRoom`] where `out` is shorter than [`OUTPUT_BYTES_MIN`]; nothing is lost.
+    pub fn next_frame(
+        &mut self,
+        window: &mut Window<'_>,
+        out: &mut [u8],
+    ) -> Result<Option<Range<usize>>, NoRoom> {
+        let Some(closed) = window.closed() else {
+            return Ok(None);
+        };
+        if out.len() < OUTPUT_BYTES_MIN {
+            return Err(NoRoom);
+        }
+        let mut task = match self.task {
+            Some(task) => task,
+            None => self.begin(closed, window),
+        };
+        if task.header.last {
+            self.task = None;
+            window.reopen();
+            return Ok(None);
+        }
+        let header = &mut task.header;
+        let counts = window.take_counts();
+        header.sequence = self.sequence;
+        header.late = counts.late;
+        header.filtered = counts.filtered;
+        header.dropped = counts.dropped;
+        (header.events, header.pixels, header.saturated) = (0, 0, 0);
+
+        let end = out.len().min(FRAME_BYTES_MAX) - CRC_BYTES;
+        let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..end]);
+        let packing = header.packing();
+        let mut next_index = 0;
+        header.last = loop {
+            let Some(pixel) = self.group.current(window) else {
+                break true;
+            };
+            let (descriptor, saturated) = self.describe(pixel, header, window, task.scale);
+            let position = writer.position();
+            if packing
+                .pack(&descriptor, &mut next_index, &mut writer)
+                .is_err()
+            {
+                writer.rewind(position);
+                break false;
+            }
+            header.events += descriptor.events();
+            header.pixels += 1;
+            header.saturated = header.saturated.saturating_add(saturated);
+            self.group.advance();
+        };
+        let payload_bytes = writer.finish();
+        let range = seal(header, payload_bytes, out)?;
+        self.sequence = self.sequence.wrapping_add(1);
+        header.part += 1;
+        self.task = Some(task);
+        Ok(Some(range))
+    }
+
+    fn begin(&mut self, closed: Closed, window: &Window<'_>) -> Task {
+        let WindowConfig { sensor, .. } = window.config();
+        let density = Density {
+            events: window.events(),
+            pixels: sensor.pixels(),
+            duration_us: closed.duration_us,
+        };
+        let regime = self.config.thresholds.regime(density);
+        let transform = self.config.transform.unwrap_or(regime.transform());
+        self.group.restart();
+        Task {
+            header: Header {
+                truncated: closed.truncated,
+                last: false,
+                regime,
+                mode: Mode::Transform,
+                sequence: 0,
+                part: 0,
+                sensor,
+                t0_us: closed.t0_us,
+                duration_us: closed.duration_us,
+                window_events: window.events(),
+                events: 0,
+                pixels: 0,
+                late: 0,
+                filtered: 0,
+                dropped: 0,
+                saturated: 0,
+                transform,
+                m: self.config.m,
+                grid: transform.grid_size(self.config.m, self.config.grid),
+                quantiser: self.config.quantiser,
+            },
+            scale: PhaseScale::new(closed.duration_us),
+        }
+    }
+
+    fn describe(
+        &mut self,
+        pixel: Pixel,
+        header: &Header,
+        window: &mut Window<'_>,
+        scale: PhaseScale,
+    ) -> (Descriptor, u32) {
+        let chunks = Chunks::new(pixel, window.slots(), scale);
+        match header.transform {
+            Transform::Dct => self.describe_in::<Dct>(pixel, header, chunks),
+            Transform::Dtft => self.describe_in::<Dtft>(pixel, header, chunks),
+            Transform::Dwt => self.describe_in::<Dwt>(pixel, header, chunks),
+        }
+    }
+
+    /// Accumulate, prune and quantise one pixel; also returns how many levels saturated.
+    fn describe_in<B: Basis>(
+        &mut self,
+        pixel: Pixel,
+        header: &Header,
+        mut chunks: Chunks<'_>,
+    ) -> (Descriptor, u32) {
+        let grid = usize::from(header.grid);
+        let Scratch {
+            sums,
+            totals,
+            magnitudes,
+        } = &mut self.scratch;
+        let impulses = &mut self.impulses;
+        B::accumulate(chunks.fill(impulses), grid, sums);
+        if pixel.on + pixel.off <= CHUNK_EVENTS as u32 {
+            return select_levels::<B, _>(pixel, header, sums, magnitudes);
+        }
+        let values = B::values(grid);
+        for (total, sum) in totals[..values].iter_mut().zip(sums.iter()) {
+            *total = sum.wide();
+        }
+        loop {
+            let chunk = chunks.fill(impulses);
+            if chunk.is_empty() {
+                return select_levels::<B, _>(pixel, header, totals, magnitudes);
+            }
+            B::accumulate(chunk, grid, sums);
+            for (total, sum) in totals[..values].iter_mut().zip(sums.iter()) {
+                // Fewer than 2^24 events of at most 1 each: far from the 2^40 that a total holds.
+                *total = total.wrapping_add(sum.wide());
+            }
+        }
+    }
+}
+
+/// Prune and quantise.
+fn select_levels<B: Basis, C: Coefficient>(
+    pixel: Pixel,
+    header: &Header,
+    sums: &[C],
+    magnitudes: &mut [u64],
+) -> (Descriptor, u32) {
+    let grid = usize::from(header.grid);
+    let r = header.packing().kept();
+    let mut kept = Kept::new();
+    // All coefficients of a single event have the magnitude 1 in the DTFT: all tie.
+    let all_tie = B::TRANSFORM as u8 == Transform::Dtft as u8 && pixel.on + pixel.off == 1;
+    match B::RULE {
+        Rule::Magnitude if !all_tie && r < grid => {
+            let (magnitudes, work) = magnitudes[..2 * grid].split_at_mut(grid);
+            for (k, magnitude) in magnitudes.iter_mut().enumerate() {
+                *magnitude = B::magnitude(sums, grid, k);
+            }
+            largest(magnitudes, r, work, &mut kept);
+        }
+        Rule::Magnitude | Rule::LowFrequency => low_frequency(r, &mut kept),
+    }
+    let mut descriptor = Descriptor {
+        x: pixel.x,
+        y: pixel.y,
+        on: pixel.on,
+        off: pixel.off,
+        ..Descriptor::EMPTY
+    };
+    let mut saturated = 0;
+    for k in kept {
+        let (level, cut) = B::level(sums, grid, usize::from(k), header.quantiser);
+        saturated += u32::from(cut);
+        if (level.re, level.im) != (0, 0) {
+            // Never full: at most M_MAX are kept.
+            let _ = descriptor.levels.push(level);
+        }
+    }
+    (descriptor, saturated)
+}
+
+/// A window and its encoder: pushes events, returns frames.
+///
+/// ```
+/// # use eecvs_nostd::*;
+/// let mut storage: Storage<64, { segments(8, 4) }, { bitmap_words(segments(8, 4)) }, 128> =
+///     Storage::new();
+/// let config = Config {
+///     window: WindowConfig { sensor: Sensor::new(8, 4).unwrap(), window_us: 1000 },
+///     thresholds: Thresholds::new(0, 0).unwrap(),
+///     transform: None,
+///     m: 8,
+///     grid: None,
+///     quantiser: Quantiser::DEFAULT,
+/// };
+/// let mut encoder = storage.encoder(config).unwrap();
+/// let mut out = [0; 2048];
+/// let mut frames = 0;
+/// for t_us in [5, 700, 1200] {
+///     let event = Event { t_us, x: 3, y: 2, polarity: Polarity::On };
+///     while encoder.push(event) == Push::Closed {
+///         while let Some(frame) = encoder.next_frame(&mut out).unwrap() {
+///             frames += 1; // send &out[frame]
+///         }
+///     }
+/// }
+/// encoder.flush();
+/// while encoder.next_frame(&mut out).unwrap().is_some() {
+///     frames += 1;
+/// }
+/// assert_eq!(frames, 2);
+/// ```
+#[derive(Debug)]
+pub struct Encoder<'b> {
+    window: Window<'b>,
+    encoder: WindowEncoder<'b>,
+}
+
+impl<'b> Encoder<'b> {
+    /// Composes a window with an encoder of the same sensor.
+    #[must_use]
+    pub const fn new(window: Window<'b>, encoder: WindowEncoder<'b>) -> Self {
+        Self { window, encoder }
+    }
+
+    /// Adds an event; on [`Push::Closed`] take every frame and push it again.
+    #[inline]
+    pub fn push(&mut self, event: Event) -> Push {
+        self.window.push(event)
+    }
+
+    /// Closes the open window.
+    pub fn flush(&mut self) {
+        self.window.flush();
+    }
+
+    /// The next frame of the closed window: see [`WindowEncoder::next_frame`].
+    ///
+    /// # Errors
+    /// [`NoRoom`].
+    pub fn next_frame(&mut self, out: &mut [u8]) -> Result<Option<Range<usize>>, NoRoom> {
+        self.encoder.next_frame(&mut self.window, out)
+    }
+
+    /// The window, to count drops or to look at.
+    pub const fn window(&mut self) -> &mut Window<'b> {
+        &mut self.window
+    }
+}

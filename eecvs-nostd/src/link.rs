@@ -1,0 +1,143 @@
+//! Frames out of a stream of bytes that may be damaged, and what their order says was lost.
+
+use crate::frame::{Frame, FrameError, SYNC};
+
+/// What stands at the start of received bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scan<'i> {
+    /// A frame; it takes up `frame.bytes`.
+    Frame(Frame<'i>),
+    /// Not a frame: the next that may be one begins after `skip` bytes, at least 1.
+    Damage {
+        /// Why.
+        error: FrameError,
+        /// Bytes to leave out.
+        skip: usize,
+    },
+    /// A frame may begin here: more bytes will tell.
+    Incomplete,
+}
+
+/// Looks at the start of `bytes`, received but not yet used up.
+///
+/// After damage the scan goes on at the next sync bytes, inside the damaged frame too, so that a
+/// frame that follows it is found whatever the damage was.
+#[must_use]
+pub fn scan(bytes: &[u8]) -> Scan<'_> {
+    if bytes.is_empty() {
+        return Scan::Incomplete;
+    }
+    match Frame::parse(bytes) {
+        Ok(frame) => Scan::Frame(frame),
+        Err(FrameError::Incomplete) => Scan::Incomplete,
+        Err(error) => Scan::Damage {
+            error,
+            skip: next_sync(bytes),
+        },
+    }
+}
+
+/// Distance to the next place, not the first, where the sync bytes or their beginning stand.
+fn next_sync(bytes: &[u8]) -> usize {
+    for start in 1..bytes.len() {
+        let rest = &bytes[start..];
+        let len = rest.len().min(SYNC.len());
+        if rest[..len] == SYNC[..len] {
+            return start;
+        }
+    }
+    bytes.len()
+}
+
+/// Where a frame stands relative to those before it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Order {
+    /// The one that was due, or the first of all.
+    InOrder,
+    /// This many frames before it have not come.
+    Lost(u32),
+    /// The same number as the previous frame's.
+    Repeated,
+    /// It was due earlier.
+    Reordered,
+}
+
+/// Follows the sequence numbers of frames, across the 2^32 wrap.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Sequence {
+    next: Option<u32>,
+}
+
+impl Sequence {
+    /// Before the first frame.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { next: None }
+    }
+
+    /// Takes the number of the frame that has come.
+    pub fn follow(&mut self, sequence: u32) -> Order {
+        let order = match self.next {
+            None => Order::InOrder,
+            Some(next) => match sequence.wrapping_sub(next) {
+                0 => Order::InOrder,
+                u32::MAX => Order::Repeated,
+                ahead if ahead < 1 << 31 => Order::Lost(ahead),
+                _ => Order::Reordered,
+            },
+        };
+        if matches!(order, Order::InOrder | Order::Lost(_)) {
+            self.next = Some(sequence.wrapping_add(1));
+        }
+        order
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn order_is_told_across_the_wrap() {
+        let mut sequence = Sequence::new();
+        for (number, order) in [
+            (u32::MAX - 1, Order::InOrder),
+            (u32::MAX, Order::InOrder),
+            (0, Order::InOrder),
+            (0, Order::Repeated),
+            (3, Order::Lost(2)),
+            (1, Order::Reordered),
+            (4, Order::InOrder),
+        ] {
+            assert_eq!(sequence.follow(number), order, "{number}");
+        }
+    }
+
+    #[test]
+    fn garbage_is_skipped_to_the_next_sync() {
+        assert_eq!(
+            scan(&[1, 2, 0xEE, 0xC5, 1]),
+            Scan::Damage {
+                error: FrameError::Sync,
+                skip: 2
+            }
+        );
+        assert_eq!(
+            scan(&[1, 2, 0xEE]),
+            Scan::Damage {
+                error: FrameError::Sync,
+                skip: 2
+            }
+        );
+        assert_eq!(
+            scan(&[0xEE, 0xC5, 99, 0]),
+            Scan::Damage {
+                error: FrameError::Version(99),
+                skip: 4
+            }
+        );
+        assert_eq!(scan(&[0xEE]), Scan::Incomplete);
+    }
+}
