@@ -89,6 +89,15 @@ struct Task {
     scale: PhaseScale,
 }
 
+/// A frame in the output.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Encoded {
+    /// Its header.
+    pub header: Header,
+    /// Where it lies in the output.
+    pub range: Range<usize>,
+}
+
 /// Turns closed windows into frames. Apart from [`Window`], so that one window can be received
 /// while another is encoded.
 #[derive(Debug)]
@@ -138,8 +147,8 @@ impl<'b> WindowEncoder<'b> {
         &self.config
     }
 
-    /// Encodes the next frame of a closed window into `out` and returns where it lies, or `None`
-    /// when there is none left, which opens the window again.
+    /// Encodes the next frame of a closed window into `out`, or returns `None` when there is none
+    /// left, which opens the window again.
     ///
     /// A window takes one frame where `out` has room for it, and else as many as it takes, each of
     /// which decodes by itself. Cost follows the window's events.
@@ -150,7 +159,7 @@ impl<'b> WindowEncoder<'b> {
         &mut self,
         window: &mut Window<'_>,
         out: &mut [u8],
-    ) -> Result<Option<Range<usize>>, NoRoom> {
+    ) -> Result<Option<Encoded>, NoRoom> {
         let Some(closed) = window.closed() else {
             return Ok(None);
         };
@@ -199,9 +208,13 @@ impl<'b> WindowEncoder<'b> {
         let payload_bytes = writer.finish();
         let range = seal(header, payload_bytes, out)?;
         self.sequence = self.sequence.wrapping_add(1);
+        let encoded = Encoded {
+            header: *header,
+            range,
+        };
         header.part += 1;
         self.task = Some(task);
-        Ok(Some(range))
+        Ok(Some(encoded))
     }
 
     fn begin(&mut self, closed: Closed, window: &Window<'_>) -> Task {
@@ -354,7 +367,7 @@ fn select_levels<B: Basis, C: Coefficient>(
 ///     let event = Event { t_us, x: 3, y: 2, polarity: Polarity::On };
 ///     while encoder.push(event) == Push::Closed {
 ///         while let Some(frame) = encoder.next_frame(&mut out).unwrap() {
-///             frames += 1; // send &out[frame]
+///             frames += 1; // send &out[frame.range]
 ///         }
 ///     }
 /// }
@@ -392,7 +405,7 @@ impl<'b> Encoder<'b> {
     ///
     /// # Errors
     /// [`NoRoom`].
-    pub fn next_frame(&mut self, out: &mut [u8]) -> Result<Option<Range<usize>>, NoRoom> {
+    pub fn next_frame(&mut self, out: &mut [u8]) -> Result<Option<Encoded>, NoRoom> {
         self.encoder.next_frame(&mut self.window, out)
     }
 

