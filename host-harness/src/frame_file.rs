@@ -1,0 +1,226 @@
+//! Frames of an `.eecvs` file or stream, with an account of what was damaged or lost.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use eecvs_nostd::{Frame, FrameError, Header, Order, Scan, Sequence, scan};
+use serde::Serialize;
+
+/// Bytes asked of the source at a time.
+const READ_BYTES: usize = 1 << 16;
+
+/// What a reader met besides frames in order.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct LinkReport {
+    /// Frames delivered.
+    pub frames: u64,
+    /// Bytes that belong to no frame.
+    pub damaged_bytes: u64,
+    /// Runs of such bytes.
+    pub damaged_runs: u64,
+    /// Offset of the first of them, and why they are no frame.
+    pub first_damage: Option<(u64, String)>,
+    /// Frames that never came.
+    pub frames_lost: u64,
+    /// Frames that came twice; the second was left out.
+    pub frames_repeated: u64,
+    /// Frames that came after a later one; delivered where they came.
+    pub frames_reordered: u64,
+    /// Frames whose checksums match but whose payload contradicts its header.
+    pub frames_malformed: u64,
+}
+
+impl LinkReport {
+    /// Whether nothing was damaged, lost, repeated or out of order.
+    #[must_use]
+    pub fn is_clean(&self) -> bool {
+        *self
+            == Self {
+                frames: self.frames,
+                ..Self::default()
+            }
+    }
+
+    /// One line about what was met, or `None` for a clean stream.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        if self.is_clean() {
+            return None;
+        }
+        let first = match &self.first_damage {
+            Some((offset, why)) => format!(", the first at byte {offset}: {why}"),
+            None => String::new(),
+        };
+        Some(format!(
+            "{} bytes in {} places belong to no frame{first}; frames lost {}, repeated {}, \
+             reordered {}, malformed {}; everything else was used",
+            self.damaged_bytes,
+            self.damaged_runs,
+            self.frames_lost,
+            self.frames_repeated,
+            self.frames_reordered,
+            self.frames_malformed,
+        ))
+    }
+}
+
+/// A frame that was read, and where.
+#[derive(Debug, Clone, Copy)]
+pub struct Located<'r> {
+    /// The frame.
+    pub frame: Frame<'r>,
+    /// Offset of its first byte.
+    pub offset: u64,
+}
+
+/// Reads frames; memory is bounded by the largest frame.
+pub struct FrameReader<R> {
+    source: R,
+    buffer: Vec<u8>,
+    /// Bytes of `buffer` used up.
+    start: usize,
+    /// Offset of `buffer[start]` in the source.
+    offset: u64,
+    in_damage: bool,
+    ended: bool,
+    sequence: Sequence,
+    report: LinkReport,
+}
+
+impl FrameReader<File> {
+    /// Opens a file of frames.
+    ///
+    /// # Errors
+    /// A file that cannot be opened.
+    pub fn open(path: &Path) -> Result<Self> {
+        let file = File::open(path).with_context(|| format!("{}: cannot open", path.display()))?;
+        Ok(Self::new(file))
+    }
+}
+
+impl<R: Read> FrameReader<R> {
+    /// Frames of any source of bytes.
+    pub fn new(source: R) -> Self {
+        Self {
+            source,
+            buffer: Vec::new(),
+            start: 0,
+            offset: 0,
+            in_damage: false,
+            ended: false,
+            sequence: Sequence::new(),
+            report: LinkReport::default(),
+        }
+    }
+
+    /// The account so far.
+    #[must_use]
+    pub const fn report(&self) -> &LinkReport {
+        &self.report
+    }
+
+    /// Counts a frame whose payload does not decode.
+    pub const fn count_malformed(&mut self) {
+        self.report.frames_malformed += 1;
+    }
+
+    /// The next frame, or `None` at the end of the source.
+    ///
+    /// # Errors
+    /// Only I/O: damage is reported by [`FrameReader::report`].
+    pub fn next_frame(&mut self) -> std::io::Result<Option<Located<'_>>> {
+        let (header, payload_start, bytes) = loop {
+            match scan(&self.buffer[self.start..]) {
+                Scan::Frame(frame) => {
+                    let bytes = frame.bytes;
+                    let payload_start =
+                        self.start + bytes - frame.payload.len() - eecvs_nostd::frame::CRC_BYTES;
+                    let header = frame.header;
+                    self.in_damage = false;
+                    if self.take(&header) {
+                        break (header, payload_start, bytes);
+                    }
+                    self.advance(bytes);
+                }
+                Scan::Damage { error, skip } => self.skip(error, skip),
+                Scan::Incomplete if self.ended => {
+                    let left = self.buffer.len() - self.start;
+                    if left == 0 {
+                        return Ok(None);
+                    }
+                    // The frame that seemed to begin here does not end: others may lie inside.
+                    self.skip(FrameError::Incomplete, 1);
+                }
+                Scan::Incomplete => self.fill()?,
+            }
+        };
+        let offset = self.offset;
+        self.advance(bytes);
+        let payload_end = self.start - eecvs_nostd::frame::CRC_BYTES;
+        let payload = &self.buffer[payload_start..payload_end];
+        Ok(Some(Located {
+            frame: Frame {
+                header,
+                payload,
+                bytes,
+            },
+            offset,
+        }))
+    }
+
+    /// Counts a frame's place in the sequence; whether it is to be delivered.
+    fn take(&mut self, header: &Header) -> bool {
+        match self.sequence.follow(header.sequence) {
+            Order::InOrder => {}
+            Order::Lost(frames) => self.report.frames_lost += u64::from(frames),
+            Order::Reordered => {
+                self.report.frames_reordered += 1;
+                self.report.frames_lost = self.report.frames_lost.saturating_sub(1);
+            }
+            Order::Repeated => {
+                self.report.frames_repeated += 1;
+                return false;
+            }
+        }
+        self.report.frames += 1;
+        true
+    }
+
+    fn advance(&mut self, bytes: usize) {
+        self.start += bytes;
+        self.offset += bytes as u64;
+    }
+
+    fn skip(&mut self, error: FrameError, bytes: usize) {
+        if !self.in_damage {
+            self.in_damage = true;
+            self.report.damaged_runs += 1;
+            self.report
+                .first_damage
+                .get_or_insert_with(|| (self.offset, error.to_string()));
+        }
+        self.report.damaged_bytes += bytes as u64;
+        self.advance(bytes);
+    }
+
+    fn fill(&mut self) -> std::io::Result<()> {
+        self.buffer.drain(..self.start);
+        self.start = 0;
+        let len = self.buffer.len();
+        // Doubling keeps the copies linear in a large frame's size; `scan` asks for no more
+        // than FRAME_BYTES_MAX.
+        let more = READ_BYTES.max(len);
+        self.buffer.resize(len + more, 0);
+        let read = loop {
+            match self.source.read(&mut self.buffer[len..]) {
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                result => break result,
+            }
+        };
+        self.buffer.truncate(len + *read.as_ref().unwrap_or(&0));
+        self.ended = read? == 0;
+        Ok(())
+    }
+}

@@ -1,0 +1,139 @@
+//! The inverse transform as a volume of B time bins, the same array for every transform.
+//!
+//! V[b] = integral of s_hat(u) over [b/B, (b+1)/B), where s_hat is the signal that the kept
+//! coefficients describe:
+//!
+//! * DCT: s_hat(u) = c_0 + 2 sum_k c_k cos(pi k u)
+//! * DTFT: s_hat(u) = c_0 + 2 Re sum_k c_k exp(i 2 pi k u)
+//! * Haar: s_hat(u) = c_0 + sum_(j,m) c_(j,m) 2^(j/2) h(2^j u - m)
+//!
+//! The bins of a pixel sum to c_0, its signed event count, where k = 0 is kept; with every Haar
+//! coefficient and B = K they are the exact signed counts of a voxel grid.
+
+use std::f64::consts::{PI, TAU};
+
+use eecvs_nostd::Transform;
+
+use super::{DecodedWindow, Pixel, haar_support};
+
+/// Integrals of every atom's synthesis function over every bin.
+#[derive(Debug, Clone)]
+pub struct Bins {
+    bins: usize,
+    /// [k * bins + b]: weights of re and of im.
+    weights: Vec<(f64, f64)>,
+}
+
+impl Bins {
+    /// Weights of K = `grid` atoms on `bins` bins.
+    #[must_use]
+    pub fn new(transform: Transform, grid: u16, bins: usize) -> Self {
+        let weights = (0..grid)
+            .flat_map(|k| {
+                (0..bins).map(move |bin| {
+                    let from = bin as f64 / bins as f64;
+                    let to = (bin + 1) as f64 / bins as f64;
+                    weight(transform, k, from, to)
+                })
+            })
+            .collect();
+        Self { bins, weights }
+    }
+
+    /// V[b] of one pixel, for one bin.
+    #[must_use]
+    pub fn value(&self, pixel: &Pixel, bin: usize) -> f64 {
+        pixel
+            .coefficients
+            .iter()
+            .map(|(k, re, im)| {
+                let (of_re, of_im) = self.weights[usize::from(*k) * self.bins + bin];
+                re * of_re + im * of_im
+            })
+            .sum()
+    }
+
+    /// Bin `bin` of a window as an H x W plane, rows from the top.
+    pub fn plane(&self, window: &DecodedWindow, bin: usize, plane: &mut [f32]) {
+        plane.fill(0.0);
+        let width = usize::from(window.header.sensor.width);
+        for pixel in &window.pixels {
+            plane[usize::from(pixel.y) * width + usize::from(pixel.x)] =
+                self.value(pixel, bin) as f32;
+        }
+    }
+}
+
+/// Integrals over [from, to) of what re and im of coefficient k are multiplied with.
+fn weight(transform: Transform, k: u16, from: f64, to: f64) -> (f64, f64) {
+    if k == 0 {
+        return (to - from, 0.0);
+    }
+    match transform {
+        Transform::Dct => {
+            let omega = PI * f64::from(k);
+            (
+                2.0 * ((omega * to).sin() - (omega * from).sin()) / omega,
+                0.0,
+            )
+        }
+        Transform::Dtft => {
+            // Re((re + i im) exp(i w u)) = re cos(w u) - im sin(w u)
+            let omega = TAU * f64::from(k);
+            (
+                2.0 * ((omega * to).sin() - (omega * from).sin()) / omega,
+                2.0 * ((omega * to).cos() - (omega * from).cos()) / omega,
+            )
+        }
+        Transform::Dwt => {
+            let (height, start, end) = haar_support(k);
+            let middle = f64::midpoint(start, end);
+            let overlap = |a: f64, b: f64| (to.min(b) - from.max(a)).max(0.0);
+            (
+                height * (overlap(start, middle) - overlap(middle, end)),
+                0.0,
+            )
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pixel(coefficients: Vec<(u16, f64, f64)>) -> Pixel {
+        Pixel {
+            x: 0,
+            y: 0,
+            on: 1,
+            off: 0,
+            coefficients,
+        }
+    }
+
+    #[test]
+    fn bins_sum_to_the_net_count_for_any_number_of_bins() {
+        for transform in Transform::ALL {
+            for bins in [1, 3, 5, 8, 100] {
+                let table = Bins::new(transform, 16, bins);
+                let pixel = pixel((0..16).map(|k| (k, 3.0 - f64::from(k), 0.5)).collect());
+                let sum: f64 = (0..bins).map(|bin| table.value(&pixel, bin)).sum();
+                assert!((sum - 3.0).abs() < 1e-9, "{transform:?} {bins}: {sum}");
+            }
+        }
+    }
+
+    #[test]
+    fn all_haar_coefficients_give_the_counts() {
+        // One event in bin 2 of 4: c_0 = 1, c_1 = -1, c_3 = sqrt 2.
+        let table = Bins::new(Transform::Dwt, 4, 4);
+        let pixel = pixel(vec![
+            (0, 1.0, 0.0),
+            (1, -1.0, 0.0),
+            (3, 2.0_f64.sqrt(), 0.0),
+        ]);
+        for (bin, count) in [0.0, 0.0, 1.0, 0.0].into_iter().enumerate() {
+            assert!((table.value(&pixel, bin) - count).abs() < 1e-12, "{bin}");
+        }
+    }
+}

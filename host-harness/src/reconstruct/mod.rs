@@ -1,0 +1,103 @@
+//! Descriptors back to coefficients, volumes and events.
+
+pub mod bins;
+pub mod events;
+pub mod volume;
+
+use eecvs_nostd::{Descriptor, Frame, Header, UnpackError};
+
+/// One pixel's dequantised coefficients.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pixel {
+    /// Column.
+    pub x: u16,
+    /// Row.
+    pub y: u16,
+    /// ON events.
+    pub on: u32,
+    /// OFF events.
+    pub off: u32,
+    /// (k, re, im) of the kept coefficients, k ascending.
+    pub coefficients: Vec<(u16, f64, f64)>,
+}
+
+impl Pixel {
+    /// Dequantises a descriptor. c_0 = on - off is known exactly and is not rounded to a step.
+    #[must_use]
+    pub fn dequantise(header: &Header, descriptor: &Descriptor) -> Self {
+        let net = f64::from(descriptor.on) - f64::from(descriptor.off);
+        let coefficients = descriptor
+            .levels
+            .iter()
+            .map(|level| {
+                let (re, im) = header.quantiser.dequantise(header.transform, *level);
+                if level.k == 0 {
+                    (0, net, 0.0)
+                } else {
+                    (level.k, re, im)
+                }
+            })
+            .collect();
+        Self {
+            x: descriptor.x,
+            y: descriptor.y,
+            on: descriptor.on,
+            off: descriptor.off,
+            coefficients,
+        }
+    }
+}
+
+/// All pixels of a frame.
+///
+/// # Errors
+/// A payload that contradicts its header; nothing of the frame is returned then.
+pub fn pixels(frame: &Frame<'_>) -> Result<Vec<Pixel>, UnpackError> {
+    frame
+        .descriptors()
+        .map(|descriptor| Ok(Pixel::dequantise(&frame.header, &descriptor?)))
+        .collect()
+}
+
+/// One window put together from its frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DecodedWindow {
+    /// Header of its first frame that came.
+    pub header: Header,
+    /// Pixels of all its frames that came, in raster order.
+    pub pixels: Vec<Pixel>,
+}
+
+impl DecodedWindow {
+    /// Whether `header` belongs to this window too.
+    #[must_use]
+    pub fn has_part(&self, header: &Header) -> bool {
+        let own = &self.header;
+        (own.t0_us, own.duration_us, own.window_events, own.transform)
+            == (header.t0_us, header.duration_us, header.window_events, header.transform)
+            // Parts count up: windows that share a start are told apart by it.
+            && header.part > 0
+    }
+
+    /// Channels of its coefficient volume: K, or 2K for complex coefficients.
+    #[must_use]
+    pub fn channels(&self) -> usize {
+        let grid = usize::from(self.header.grid);
+        if self.header.transform.is_complex() {
+            2 * grid
+        } else {
+            grid
+        }
+    }
+}
+
+/// 2^(j/2) of Haar coefficient k = 2^j + m, and its support [start, end) in units of u.
+pub(crate) fn haar_support(k: u16) -> (f64, f64, f64) {
+    if k == 0 {
+        return (1.0, 0.0, 1.0);
+    }
+    let scale = k.ilog2();
+    let width = 0.5_f64.powi(scale as i32);
+    let start = f64::from(k - (1 << scale)) * width;
+    ((1.0 / width).sqrt(), start, start + width)
+}
