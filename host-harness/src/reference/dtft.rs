@@ -1,4 +1,4 @@
-//! DTFT atoms at event times: phi_k(u) = exp(-i 2 pi k u), eq. (6).
+//! DTFT atoms at event times: `phi_k(u) = exp(-i 2 pi k u)`, eq. (6).
 //!
 //! The signal is real, so the coefficient at -k is the conjugate of the one at k and only
 //! k >= 0 is held.
@@ -9,13 +9,13 @@ use num_complex::Complex64;
 
 use super::transform::Impulse;
 
-/// phi_k(u) = exp(-i 2 pi k u), u in [0, 1).
+/// `phi_k(u) = exp(-i 2 pi k u)`, u in [0, 1).
 #[must_use]
 pub fn atom(k: usize, u: f64) -> Complex64 {
     Complex64::cis(-TAU * k as f64 * u)
 }
 
-/// c_k = sum_i p_i exp(-i 2 pi k u_i), k = 0..grid, eq. (6): no normalisation.
+/// `c_k = sum_i p_i exp(-i 2 pi k u_i)`, k = 0..grid, eq. (6): no normalisation.
 ///
 /// Shape: `[Impulse; n] -> [Complex64; grid]`.
 #[must_use]

@@ -1,5 +1,5 @@
-//! Haar atoms at event times, eq. (6): phi_0 = 1 and, for k = 2^j + m with 0 <= m < 2^j,
-//! phi_k(u) = 2^(j/2) h(2^j u - m), where h is +1 on [0, 1/2), -1 on [1/2, 1), else 0.
+//! Haar atoms at event times, eq. (6): `phi_0 = 1` and, for k = 2^j + m with 0 <= m < 2^j,
+//! `phi_k(u) = 2^(j/2) h(2^j u - m)`, where h is +1 on [0, 1/2), -1 on [1/2, 1), else 0.
 //!
 //! Whether an event lies in a half is decided on integers: with u = t/T the half
 //! [m/2^j, (m + 1/2)/2^j) is `2m T <= 2^(j+1) t < (2m + 1) T`. A rounded quotient could put
@@ -42,13 +42,13 @@ pub fn sign(k: usize, t_us: u32, duration_us: u32) -> i64 {
     }
 }
 
-/// phi_k(u) of u = t/T.
+/// `phi_k(u)` of u = t/T.
 #[must_use]
 pub fn atom(k: usize, t_us: u32, duration_us: u32) -> f64 {
     height(k) * sign(k, t_us, duration_us) as f64
 }
 
-/// c_k / 2^(j/2) = sum_i p_i h(2^j u_i - m), k = 0..grid: exact integers.
+/// `c_k / 2^(j/2) = sum_i p_i h(2^j u_i - m)`, k = 0..grid: exact integers.
 ///
 /// Shape: `[Impulse; n] -> [i64; grid]`.
 #[must_use]
@@ -63,7 +63,7 @@ pub fn unscaled(impulses: &[Impulse], duration_us: u32, grid: usize) -> Vec<i64>
         .collect()
 }
 
-/// c_k = sum_i p_i phi_k(u_i), k = 0..grid, eq. (6): no normalisation by N, T or the grid.
+/// `c_k = sum_i p_i phi_k(u_i)`, k = 0..grid, eq. (6): no normalisation by N, T or the grid.
 ///
 /// Shape: `[Impulse; n] -> [f64; grid]`.
 #[must_use]
@@ -145,7 +145,7 @@ mod tests {
         }
     }
 
-    /// sum c_k^2 / K is the energy of the K bin counts: the atoms are orthonormal.
+    /// `sum_k c_k^2 / K` is the energy of the K bin counts: the atoms are orthonormal.
     #[test]
     fn parseval_on_bin_counts() {
         let impulses = [

@@ -43,7 +43,7 @@ pub fn impulses(window: &Window) -> BTreeMap<(u16, u16), Vec<Impulse>> {
     pixels
 }
 
-/// c_k of each active pixel of a window, eq. (6), keyed by (y, x) in row-major order.
+/// `c_k` of each active pixel of a window, eq. (6), keyed by (y, x) in row-major order.
 ///
 /// Shape: `Window -> {(y, x): [Complex64; grid]}`; the imaginary part is 0 for the DCT and the
 /// DWT. Pixels without events are absent: their coefficients are 0.

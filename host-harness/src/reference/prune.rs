@@ -14,7 +14,7 @@ pub const TIE: f64 = 1e-12;
 
 /// Indices of the r = min(M, K) kept coefficients, ascending.
 ///
-/// DCT: the first r. DTFT and DWT: the r of largest |c_k|, ties (see [`TIE`]) to the lower k.
+/// DCT: the first r. DTFT and DWT: the r of largest `|c_k|`, ties (see [`TIE`]) to the lower k.
 /// Shape: `[Complex64; K] -> [usize; r]`.
 #[must_use]
 pub fn kept(transform: Transform, coefficients: &[Complex64], m: usize) -> Vec<usize> {

@@ -7,7 +7,7 @@
 //!     Haar   s_hat(u) = c_0 + sum_(j,m) c_(j,m) 2^(j/2) h(2^j u - m)
 //!
 //! and bin b holds its integral over [b/B, (b+1)/B): a signed event count, in the mean. The
-//! integrals are taken in closed form, so the bins sum to c_0 for every transform and B.
+//! integrals are taken in closed form, so the bins sum to `c_0` for every transform and B.
 
 use std::f64::consts::{PI, TAU};
 
@@ -16,9 +16,9 @@ use num_complex::Complex64;
 use super::dwt;
 use super::transform::Transform;
 
-/// V\[b\] = integral of s_hat(u) over [b/B, (b+1)/B), b = 0..bins.
+/// V\[b\] = integral of `s_hat(u)` over [b/B, (b+1)/B), b = 0..bins.
 ///
-/// `coefficients` holds c_k at index k, 0 where it was pruned.
+/// `coefficients` holds `c_k` at index k, 0 where it was pruned.
 /// Shape: `[Complex64; K] -> [f64; B]`.
 #[must_use]
 pub fn bins(transform: Transform, coefficients: &[Complex64], bins: usize) -> Vec<f64> {

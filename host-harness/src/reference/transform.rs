@@ -47,7 +47,7 @@ impl Transform {
         }
     }
 
-    /// c_k, k = 0..grid, eq. (6); the imaginary part is 0 for the DCT and the DWT.
+    /// `c_k`, k = 0..grid, eq. (6); the imaginary part is 0 for the DCT and the DWT.
     ///
     /// Shape: `[Impulse; n] -> [Complex64; grid]`.
     #[must_use]
