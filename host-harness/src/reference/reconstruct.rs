@@ -2,9 +2,11 @@
 //!
 //! The kept coefficients define a projection of the pixel's signal,
 //!
-//!     DCT    s_hat(u) = c_0 + 2 sum_(k>=1) c_k cos(pi k u)
-//!     DTFT   s_hat(u) = c_0 + 2 Re sum_(k>=1) c_k exp(+i 2 pi k u)
-//!     Haar   s_hat(u) = c_0 + sum_(j,m) c_(j,m) 2^(j/2) h(2^j u - m)
+//! ```text
+//! DCT    s_hat(u) = c_0 + 2 sum_(k>=1) c_k cos(pi k u)
+//! DTFT   s_hat(u) = c_0 + 2 Re sum_(k>=1) c_k exp(+i 2 pi k u)
+//! Haar   s_hat(u) = c_0 + sum_(j,m) c_(j,m) 2^(j/2) h(2^j u - m)
+//! ```
 //!
 //! and bin b holds its integral over [b/B, (b+1)/B): a signed event count, in the mean. The
 //! integrals are taken in closed form, so the bins sum to `c_0` for every transform and B.
