@@ -1,4 +1,7 @@
 //! Library behind the `eecvs` command.
 
+pub mod calibrate;
+pub mod cmd;
 pub mod formats;
 pub mod reference;
+pub mod thresholds_file;
