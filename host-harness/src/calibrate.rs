@@ -9,13 +9,13 @@
 //! Memory: one window and one count per distinct density. Runs of empty windows are counted by
 //! a division, so a gap of hours costs nothing.
 
-use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::num::{NonZeroU32, NonZeroUsize};
 
 use anyhow::{Context, bail};
 use eecvs_nostd::{Event, Sensor};
 
+use crate::exact_density::{Density, interpolated_pico};
 use crate::formats::{BATCH_EVENTS, EventReader};
 use crate::reference::window::{HOST_CAPACITY, Window, Windower};
 
@@ -164,78 +164,6 @@ impl Calibration {
             }
         }
         Density::EMPTY
-    }
-}
-
-/// Events per pixel per microsecond, a reduced fraction.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Density {
-    /// At most 2^20, a window's capacity.
-    numerator: u64,
-    /// At most 2^54: 2^22 pixels times 2^32 us.
-    denominator: u64,
-}
-
-impl Density {
-    const EMPTY: Self = Self {
-        numerator: 0,
-        denominator: 1,
-    };
-
-    fn of(window: &Window, sensor: Sensor) -> Self {
-        let events = window.events.len() as u64;
-        let pixel_us = u64::from(sensor.pixels()) * u64::from(window.duration_us);
-        let divisor = greatest_common_divisor(events, pixel_us);
-        Self {
-            numerator: events / divisor,
-            denominator: pixel_us / divisor,
-        }
-    }
-}
-
-impl Ord for Density {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let cross = |a: &Self, b: &Self| u128::from(a.numerator) * u128::from(b.denominator);
-        cross(self, other).cmp(&cross(other, self))
-    }
-}
-
-impl PartialOrd for Density {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-/// `below + (above - below) * quarters / 4`, rounded down to 1e-12 events per pixel per second;
-/// `None` above the range of u64.
-fn interpolated_pico(below: Density, above: Density, quarters: u128) -> Option<u64> {
-    let [n0, d0, n1, d1] = [
-        below.numerator,
-        below.denominator,
-        above.numerator,
-        above.denominator,
-    ]
-    .map(u128::from);
-    // At most 2^77 over 2^110.
-    let numerator = n0 * (4 - quarters) * d1 + n1 * quarters * d0;
-    let denominator = 4 * d0 * d1;
-    // Events per us to 1e-12 events per s is a factor of 10^18. Long division, digit by digit:
-    // the product numerator * 10^18 would not fit 128 bits.
-    let mut quotient = numerator / denominator;
-    let mut remainder = numerator % denominator;
-    for _ in 0..18 {
-        remainder *= 10;
-        quotient = quotient * 10 + remainder / denominator;
-        remainder %= denominator;
-    }
-    u64::try_from(quotient).ok()
-}
-
-fn greatest_common_divisor(a: u64, b: u64) -> u64 {
-    if b == 0 {
-        a
-    } else {
-        greatest_common_divisor(b, a % b)
     }
 }
 

@@ -22,12 +22,10 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use crate::calibrate::CalibratedThresholds;
+use crate::exact_density::{decimal, pico_from_decimal};
 
 /// Largest file that is read, in bytes.
 const FILE_BYTES_MAX: u64 = 16 << 20;
-
-/// Decimals of a threshold: it is held in units of 1e-12 events per pixel per second.
-const DECIMALS: usize = 12;
 
 /// Contents of a thresholds file.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -206,62 +204,6 @@ tau_high = {}
     }
 }
 
-/// A density in 1e-12 events per pixel per second as a decimal number with 12 decimals.
-#[must_use]
-pub fn decimal(pico: u64) -> String {
-    let one = 10_u64.pow(DECIMALS as u32);
-    format!("{}.{:0width$}", pico / one, pico % one, width = DECIMALS)
-}
-
-/// Reads a decimal number in units of 1e-12, exactly; further decimals are cut off.
-fn pico_from_decimal(text: &str) -> anyhow::Result<u64> {
-    let too_large = || {
-        let largest = decimal(u64::MAX);
-        anyhow!("{text} is too large: a threshold is at most {largest} events per pixel per second")
-    };
-    let (negative, unsigned) = match text.strip_prefix('-') {
-        Some(rest) => (true, rest),
-        None => (false, text.strip_prefix('+').unwrap_or(text)),
-    };
-    let (mantissa, exponent) = unsigned.split_once(['e', 'E']).unwrap_or((unsigned, "0"));
-    let (whole, fraction) = mantissa.split_once('.').unwrap_or((mantissa, ""));
-    let digits = format!("{whole}{fraction}");
-    if digits.is_empty() || !digits.bytes().all(|b| b.is_ascii_digit()) {
-        bail!("{text} is not a finite number: write a decimal number such as 0.4");
-    }
-    let significant = digits.trim_start_matches('0');
-    if significant.is_empty() {
-        return Ok(0);
-    }
-    if negative {
-        bail!("{text} is negative: write a number of events per pixel per second, 0 or above");
-    }
-    // The result is `significant` with the point moved by `shift` digits. An exponent of more
-    // digits than an i64 has is as good as the largest.
-    let exponent: i64 = exponent.parse().unwrap_or(if exponent.starts_with('-') {
-        i64::MIN
-    } else {
-        i64::MAX
-    });
-    let shift = exponent
-        .saturating_add(DECIMALS as i64)
-        .saturating_sub(fraction.len() as i64);
-    let length = shift.saturating_add(significant.len() as i64);
-    if length > 20 {
-        return Err(too_large());
-    }
-    let length = usize::try_from(length).unwrap_or(0);
-    if length == 0 {
-        return Ok(0);
-    }
-    let moved: String = significant
-        .chars()
-        .chain(std::iter::repeat('0'))
-        .take(length)
-        .collect();
-    moved.parse().map_err(|_| too_large())
-}
-
 fn threshold(value: &Spanned<DeValue<'_>>) -> anyhow::Result<u64> {
     match value.get_ref() {
         DeValue::Float(float) => pico_from_decimal(float.as_str()),
@@ -359,39 +301,6 @@ mod tests {
         assert_eq!(parse(edited).unwrap().tau_high_pico, 1_000_500_000_000_000);
         assert_eq!(parse(edited).unwrap().tau_low_pico, 10_000_000_000_000);
         assert!(parse("tau_low = 1.5\ntau_high = 1.5").is_ok());
-    }
-
-    #[test]
-    fn decimals_are_read_exactly() {
-        for (text, pico) in [
-            ("0", 0),
-            ("-0.0", 0),
-            ("0.000000000001", 1),
-            ("+0.1", 100_000_000_000),
-            ("0.0000000000019", 1),
-            ("1e-12", 1),
-            ("9.99e-13", 0),
-            ("12.5e3", 12_500_000_000_000_000),
-            ("12.5E+3", 12_500_000_000_000_000),
-            ("0.00000000000000000000025e20", 25_000_000_000),
-            ("9007.199254740993", 9_007_199_254_740_993),
-            ("18446744.073709551615", u64::MAX),
-            ("18446744.0737095516159", u64::MAX),
-            ("1e-99999999999999999999999", 0),
-            ("0e99999999999999999999999", 0),
-        ] {
-            assert_eq!(pico_from_decimal(text).unwrap(), pico, "{text}");
-        }
-        for text in [
-            "18446744.073709551616",
-            "99999999",
-            "1e8",
-            "1e400",
-            "1e9223372036854775807",
-        ] {
-            let message = pico_from_decimal(text).unwrap_err().to_string();
-            assert!(message.contains("too large"), "{message}");
-        }
     }
 
     #[test]

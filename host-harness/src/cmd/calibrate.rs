@@ -13,8 +13,9 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 
 use crate::calibrate::{CalibratedThresholds, Calibration};
+use crate::exact_density::decimal;
 use crate::formats;
-use crate::thresholds_file::{ThresholdsFile, decimal};
+use crate::thresholds_file::ThresholdsFile;
 
 /// Work that takes longer shows its progress.
 const PROGRESS_AFTER: Duration = Duration::from_secs(1);
