@@ -1,0 +1,3 @@
+//! Subcommands of `eecvs`, one file each, their flags beside them.
+
+pub mod calibrate;
