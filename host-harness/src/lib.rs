@@ -2,10 +2,13 @@
 
 pub mod calibrate;
 pub mod cmd;
+pub mod decode;
 pub mod encode;
 pub mod exact_density;
 pub mod formats;
 pub mod frame_file;
+pub mod npy;
+pub mod progress;
 pub mod reconstruct;
 pub mod reference;
 pub mod thresholds_file;

@@ -1,2 +1,49 @@
 //! The `eecvs` command.
-fn main() {}
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use host_harness::cmd;
+
+/// Event camera windows as transform coefficients: encode, decode, compare
+#[derive(Debug, Parser)]
+#[command(name = "eecvs", version, arg_required_else_help = true)]
+struct Eecvs {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Calibrate(cmd::calibrate::Calibrate),
+    Encode(cmd::encode::Encode),
+    Inspect(cmd::inspect::Inspect),
+    Decode(cmd::decode::Decode),
+}
+
+fn main() -> ExitCode {
+    // Bad usage ends here, with exit status 2.
+    let result = match Eecvs::parse().command {
+        Command::Calibrate(command) => command.run(),
+        Command::Encode(command) => command.run(),
+        Command::Inspect(command) => command.run(),
+        Command::Decode(command) => command.run(),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("eecvs: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Whether stdout's reader, such as `head`, has seen enough.
+fn is_closed_pipe(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        cause
+            .downcast_ref::<std::io::Error>()
+            .is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
+    })
+}

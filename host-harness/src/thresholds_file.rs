@@ -18,6 +18,7 @@ use std::num::NonZeroU32;
 use std::path::Path;
 
 use anyhow::{Context, anyhow, bail};
+use eecvs_nostd::Thresholds;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -104,6 +105,24 @@ tau_high = {}
                 path.display()
             )
         })
+    }
+
+    /// The thresholds that come with the program: those of the nine emulated scenes, as
+    /// `eecvs calibrate --scenes` writes them.
+    ///
+    /// # Errors
+    /// None that a build can have: a test parses the same text.
+    pub fn scenes() -> anyhow::Result<Self> {
+        Self::parse(include_str!("../thresholds.toml"), "thresholds.toml")
+    }
+
+    /// The thresholds as the encoder takes them.
+    ///
+    /// # Errors
+    /// `tau_low` above `tau_high`.
+    pub fn thresholds(&self) -> anyhow::Result<Thresholds> {
+        Thresholds::new(self.tau_low_pico, self.tau_high_pico)
+            .context("tau_low is above tau_high: swap or edit them")
     }
 
     /// Reads and validates a file.

@@ -1,3 +1,8 @@
 //! Subcommands of `eecvs`, one file each, their flags beside them.
 
 pub mod calibrate;
+pub mod decode;
+pub mod encode;
+pub mod inspect;
+pub mod options;
+pub mod output;

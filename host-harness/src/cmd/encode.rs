@@ -1,0 +1,199 @@
+//! `eecvs encode`: a recording to frames.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::num::NonZeroU32;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use eecvs_nostd::{Config, OUTPUT_BYTES_MIN, Quantiser, Transform, WindowConfig};
+
+use super::options::{SizeOptions, ThresholdOptions};
+use super::output::{print, print_json, rows};
+use crate::encode::{EncodeSummary, Limits, encode};
+use crate::formats;
+use crate::progress::Progress;
+
+/// Encode a recording into frames
+#[derive(Debug, Args)]
+pub struct Encode {
+    /// Recording to encode
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+
+    /// File of frames to write
+    #[arg(short, long, value_name = "OUT.eecvs")]
+    output: PathBuf,
+
+    #[command(flatten)]
+    codec: CodecOptions,
+
+    #[command(flatten)]
+    size: SizeOptions,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+/// How windows are cut and encoded.
+#[derive(Debug, Clone, Args)]
+pub struct CodecOptions {
+    /// How a pixel is represented
+    #[arg(long, value_enum, default_value = "transform")]
+    mode: ModeName,
+
+    /// Transform of every window; auto takes the one of its density's regime
+    #[arg(long, value_enum, default_value = "auto")]
+    transform: TransformName,
+
+    /// Coefficients kept per pixel
+    #[arg(short, value_name = "M", default_value = "16",
+          value_parser = clap::value_parser!(u8).range(1..=64))]
+    m: u8,
+
+    /// Size of the transform's grid [default: M for the DCT, 2M for the others]; the DWT rounds it
+    /// up to a power of two
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    grid: Option<u16>,
+
+    /// log2 of the quantiser's step
+    #[arg(long, value_name = "S", default_value = "-6", allow_negative_numbers = true,
+          value_parser = clap::value_parser!(i8).range(-15..=8))]
+    step_log2: i8,
+
+    /// Duration of a window in microseconds
+    #[arg(long, value_name = "T", default_value = "32768")]
+    window_us: NonZeroU32,
+
+    /// Events that a window holds before it closes early
+    #[arg(long, value_name = "N", default_value_t = crate::encode::WINDOW_EVENTS as u32,
+          value_parser = clap::value_parser!(u32).range(1..=eecvs_nostd::window::EVENTS_MAX as i64))]
+    window_events: u32,
+
+    /// Largest frame in bytes; a window that needs more takes several frames
+    #[arg(long, value_name = "BYTES", default_value_t = eecvs_nostd::FRAME_BYTES_MAX as u32,
+          value_parser = clap::value_parser!(u32)
+              .range(OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
+    frame_bytes: u32,
+
+    #[command(flatten)]
+    thresholds: ThresholdOptions,
+}
+
+/// A mode on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ModeName {
+    /// Every active pixel as its kept coefficients
+    Transform,
+}
+
+/// A transform on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum TransformName {
+    /// By the window's density
+    Auto,
+    /// Cosine transform
+    Dct,
+    /// Fourier transform
+    Dtft,
+    /// Haar wavelet transform
+    Dwt,
+}
+
+impl CodecOptions {
+    /// Configuration of the encoder for a sensor.
+    ///
+    /// # Errors
+    /// A thresholds file that cannot be read.
+    pub fn config(&self, sensor: eecvs_nostd::Sensor) -> Result<Config> {
+        let ModeName::Transform = self.mode;
+        Ok(Config {
+            window: WindowConfig {
+                sensor,
+                window_us: self.window_us.get(),
+            },
+            thresholds: self.thresholds.load()?,
+            transform: match self.transform {
+                TransformName::Auto => None,
+                TransformName::Dct => Some(Transform::Dct),
+                TransformName::Dtft => Some(Transform::Dtft),
+                TransformName::Dwt => Some(Transform::Dwt),
+            },
+            m: self.m,
+            grid: self.grid,
+            quantiser: Quantiser::new(self.step_log2).context("the step is out of range")?,
+        })
+    }
+
+    /// Sizes of windows and frames.
+    #[must_use]
+    pub const fn limits(&self) -> Limits {
+        Limits {
+            window_events: self.window_events as usize,
+            frame_bytes: self.frame_bytes as usize,
+        }
+    }
+}
+
+impl Encode {
+    /// Encodes and prints what was done.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, an output that cannot be written.
+    pub fn run(self) -> Result<()> {
+        let mut reader = formats::open(&self.input, self.size.sensor())?;
+        let config = self.codec.config(reader.sensor())?;
+        let name = self.output.display().to_string();
+        let file = File::create(&self.output).with_context(|| format!("{name}: cannot create"))?;
+        let mut out = BufWriter::new(file);
+        let progress = Progress::new("events");
+        let summary = encode(
+            reader.as_mut(),
+            config,
+            self.codec.limits(),
+            &mut out,
+            &mut |events| {
+                progress.set(events);
+            },
+        )?;
+        out.flush()
+            .with_context(|| format!("{name}: cannot write"))?;
+        drop(progress);
+        if self.json {
+            print_json(&summary)
+        } else {
+            print(&table(&summary))
+        }
+    }
+}
+
+/// The summary for people.
+#[must_use]
+pub fn table(summary: &EncodeSummary) -> String {
+    rows([
+        ("events in", summary.events_in.to_string()),
+        ("  encoded", summary.events_encoded.to_string()),
+        ("  late", summary.events_late.to_string()),
+        ("  filtered", summary.events_filtered.to_string()),
+        ("  dropped", summary.events_dropped.to_string()),
+        ("windows", summary.windows.to_string()),
+        ("  dct", summary.windows_dct.to_string()),
+        ("  dtft", summary.windows_dtft.to_string()),
+        ("  dwt", summary.windows_dwt.to_string()),
+        ("  closed early", summary.windows_truncated.to_string()),
+        ("levels saturated", summary.levels_saturated.to_string()),
+        ("frames", summary.frames.to_string()),
+        ("bytes out", summary.bytes_out.to_string()),
+        ("bits per event", format!("{:.2}", summary.bits_per_event)),
+        (
+            "encoding",
+            format!(
+                "{:.3} s, {:.2} million events/s",
+                summary.encode_s,
+                summary.events_per_s / 1e6
+            ),
+        ),
+    ])
+}

@@ -1,0 +1,158 @@
+//! `eecvs inspect`: one row per frame.
+
+use std::io::{Write, stdout};
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use serde::Serialize;
+
+use crate::frame_file::{FrameReader, Located};
+
+/// Print one row per frame of a file
+#[derive(Debug, Args)]
+pub struct Inspect {
+    /// File of frames
+    #[arg(value_name = "IN.eecvs")]
+    input: PathBuf,
+
+    /// Print a JSON array of objects instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+/// One frame; the fields are the JSON keys.
+#[derive(Debug, Serialize)]
+struct Row {
+    index: u64,
+    seq: u32,
+    window: u64,
+    part: u32,
+    t0_us: u64,
+    duration_us: u32,
+    window_events: u32,
+    events: u32,
+    pixels: u32,
+    density_per_px_s: f64,
+    regime: &'static str,
+    transform: &'static str,
+    m: u8,
+    grid: u16,
+    step: f64,
+    bytes: usize,
+    late: u32,
+    filtered: u32,
+    dropped: u32,
+    saturated: u32,
+    truncated: bool,
+}
+
+impl Inspect {
+    /// Prints the rows; what is damaged or lost is said on stderr.
+    ///
+    /// # Errors
+    /// A file that cannot be read or holds no frame.
+    pub fn run(self) -> Result<()> {
+        let name = self.input.display();
+        let mut reader = FrameReader::open(&self.input)?;
+        let mut out = stdout().lock();
+        let mut index = 0;
+        let mut windows = 0;
+        if self.json {
+            write!(out, "[").context("stdout")?;
+        } else {
+            writeln!(
+                out,
+                "{:>6} {:>6} {:>17} {:>9} {:>8} {:>8} {:>8} {:4} {:>3} {:>4} {:>9} {:>8} {:>5} {:>5} {:>5}",
+                "index", "seq", "t0_us", "dur_us", "events", "pixels", "regime", "tr", "m", "grid",
+                "step", "bytes", "late", "filt", "drop"
+            )
+            .context("stdout")?;
+        }
+        while let Some(located) = reader
+            .next_frame()
+            .with_context(|| format!("{name}: cannot read"))?
+        {
+            windows += u64::from(located.frame.header.part == 0);
+            let row = Row::new(index, windows.max(1) - 1, &located);
+            if self.json {
+                let comma = if index == 0 { "" } else { "," };
+                write!(out, "{comma}\n{}", serde_json::to_string(&row)?).context("stdout")?;
+            } else {
+                row.print(&mut out).context("stdout")?;
+            }
+            index += 1;
+        }
+        if self.json {
+            writeln!(out, "\n]").context("stdout")?;
+        }
+        out.flush().context("stdout")?;
+        if let Some(warning) = reader.report().warning() {
+            eprintln!("eecvs: {name}: {warning}");
+        }
+        if index == 0 && reader.report().damaged_bytes > 0 {
+            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+        }
+        Ok(())
+    }
+}
+
+impl Row {
+    fn new(index: u64, window: u64, located: &Located<'_>) -> Self {
+        let header = &located.frame.header;
+        let density = eecvs_nostd::Density {
+            events: header.window_events,
+            pixels: header.sensor.pixels(),
+            duration_us: header.duration_us,
+        };
+        Self {
+            index,
+            seq: header.sequence,
+            window,
+            part: header.part,
+            t0_us: header.t0_us,
+            duration_us: header.duration_us,
+            window_events: header.window_events,
+            events: header.events,
+            pixels: header.pixels,
+            density_per_px_s: density.per_pixel_s(),
+            regime: header.regime.name(),
+            transform: header.transform.name(),
+            m: header.m,
+            grid: header.grid,
+            step: f64::from(header.quantiser.step_log2()).exp2(),
+            bytes: located.frame.bytes,
+            late: header.late,
+            filtered: header.filtered,
+            dropped: header.dropped,
+            saturated: header.saturated,
+            truncated: header.truncated,
+        }
+    }
+
+    fn print(&self, out: &mut impl Write) -> std::io::Result<()> {
+        let Self {
+            index,
+            seq,
+            t0_us,
+            duration_us,
+            events,
+            pixels,
+            regime,
+            transform,
+            m,
+            grid,
+            step,
+            bytes,
+            late,
+            filtered,
+            dropped,
+            ..
+        } = self;
+        writeln!(
+            out,
+            "{index:>6} {seq:>6} {t0_us:>17} {duration_us:>9} {events:>8} {pixels:>8} {regime:>8} \
+             {transform:4} {m:>3} {grid:>4} {step:>9} {bytes:>8} {late:>5} {filtered:>5} {dropped:>5}"
+        )
+    }
+}

@@ -1,0 +1,156 @@
+//! Frames back to windows and events.
+
+use std::io::Read;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use eecvs_nostd::Sensor;
+use serde::Serialize;
+
+use crate::formats::EventWriter;
+use crate::frame_file::{FrameReader, LinkReport};
+use crate::reconstruct::events::EventDecoder;
+use crate::reconstruct::{DecodedWindow, pixels};
+
+/// Reads the windows of a stream of frames, one at a time.
+pub struct WindowReader<R> {
+    frames: FrameReader<R>,
+    pending: Option<DecodedWindow>,
+    counts: FrameCounts,
+}
+
+/// What the frames say of events that are in no window.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct FrameCounts {
+    /// Too old for their window.
+    pub events_late: u64,
+    /// Kept out by a filter.
+    pub events_filtered: u64,
+    /// Lost before or in the encoder.
+    pub events_dropped: u64,
+}
+
+impl<R: Read> WindowReader<R> {
+    /// Windows of `frames`.
+    pub const fn new(frames: FrameReader<R>) -> Self {
+        Self {
+            frames,
+            pending: None,
+            counts: FrameCounts {
+                events_late: 0,
+                events_filtered: 0,
+                events_dropped: 0,
+            },
+        }
+    }
+
+    /// The account of the frames so far.
+    pub const fn report(&self) -> &LinkReport {
+        self.frames.report()
+    }
+
+    /// The frames' own counts so far.
+    pub const fn counts(&self) -> FrameCounts {
+        self.counts
+    }
+
+    /// The next window that has events, or `None` at the end.
+    ///
+    /// # Errors
+    /// Only I/O. A frame that does not decode is counted and left out.
+    pub fn next_window(&mut self) -> Result<Option<DecodedWindow>> {
+        loop {
+            let Some(located) = self.frames.next_frame().context("reading frames")? else {
+                return Ok(self.pending.take());
+            };
+            let header = located.frame.header;
+            let Ok(pixels) = pixels(&located.frame) else {
+                self.frames.count_malformed();
+                continue;
+            };
+            self.counts.events_late += u64::from(header.late);
+            self.counts.events_filtered += u64::from(header.filtered);
+            self.counts.events_dropped += u64::from(header.dropped);
+            match &mut self.pending {
+                Some(window) if window.has_part(&header) => window.pixels.extend(pixels),
+                _ => {
+                    let window = (header.events > 0).then_some(DecodedWindow { header, pixels });
+                    let before = std::mem::replace(&mut self.pending, window);
+                    if before.is_some() {
+                        return Ok(before);
+                    }
+                }
+            }
+            if header.last && self.pending.is_some() {
+                return Ok(self.pending.take());
+            }
+        }
+    }
+}
+
+/// What `eecvs decode` reports; the fields are its JSON keys.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct DecodeSummary {
+    /// Windows decoded.
+    pub windows: u64,
+    /// Events decoded.
+    pub events: u64,
+    /// What the frames say of other events.
+    #[serde(flatten)]
+    pub counts: FrameCounts,
+    /// What was damaged or lost.
+    #[serde(flatten)]
+    pub link: LinkReport,
+    /// Seconds spent decoding; reading and writing excluded.
+    pub decode_s: f64,
+    /// `events` / `decode_s`; 0 without events.
+    pub events_per_s: f64,
+}
+
+/// Decodes windows into events; `create` opens the output once the sensor is known, `each` sees
+/// every window, and `progress` gets the events so far.
+///
+/// # Errors
+/// Reading or writing.
+pub fn decode<R: Read>(
+    windows: &mut WindowReader<R>,
+    create: &mut dyn FnMut(Sensor) -> Result<Option<Box<dyn EventWriter>>>,
+    each: &mut dyn FnMut(u64, &DecodedWindow) -> Result<()>,
+    progress: &mut dyn FnMut(u64),
+) -> Result<DecodeSummary> {
+    let mut summary = DecodeSummary::default();
+    let mut decoding = Duration::ZERO;
+    let mut writer: Option<Option<Box<dyn EventWriter>>> = None;
+    let mut decoder: Option<EventDecoder> = None;
+    while let Some(window) = windows.next_window()? {
+        each(summary.windows, &window)?;
+        let header = &window.header;
+        let output = match &mut writer {
+            Some(output) => output,
+            None => writer.insert(create(header.sensor)?),
+        };
+        summary.windows += 1;
+        if let Some(output) = output {
+            let started = Instant::now();
+            let decoder = match &mut decoder {
+                Some(decoder) if decoder.fits(&window) => decoder,
+                _ => decoder.insert(EventDecoder::new(header.transform, header.grid, header.m)),
+            };
+            let events = decoder.window(&window);
+            decoding += started.elapsed();
+            output.write(&events)?;
+            summary.events += events.len() as u64;
+        }
+        progress(summary.events);
+    }
+    if let Some(output) = writer.flatten() {
+        output.finish()?;
+    }
+    summary.counts = windows.counts();
+    summary.link = windows.report().clone();
+    summary.decode_s = decoding.as_secs_f64();
+    if summary.events > 0 {
+        summary.events_per_s = summary.events as f64 / summary.decode_s.max(1e-9);
+    }
+    Ok(summary)
+}
