@@ -1,1 +1,136 @@
-//! Proptest generators shared by the integration tests and the fuzz targets.
+//! Proptest generators and small helpers shared by the integration tests.
+
+use eecvs_nostd::{
+    Config, Event, Frame, Polarity, Push, Quantiser, Scan, Sensor, Thresholds, Transform,
+    WindowConfig, scan,
+};
+use host_harness::encode::HostStorage;
+use proptest::prelude::*;
+
+/// A sensor with sides of 1 to 80: several segments in a row, and a last one that is not full.
+pub fn sensor() -> impl Strategy<Value = Sensor> {
+    (1..=80_u16, 1..=40_u16).prop_map(|(width, height)| Sensor { width, height })
+}
+
+/// Events on `sensor`: bursts of equal times, gaps beyond several windows, some backward steps,
+/// few pixels so that many share one, from any start.
+pub fn events(sensor: Sensor, most: usize) -> impl Strategy<Value = Vec<Event>> {
+    let start = prop_oneof![
+        Just(0_u64),
+        Just(1_700_000_000_000_000),
+        Just(u64::from(u32::MAX) - 500),
+        any::<u32>().prop_map(u64::from),
+    ];
+    let step = prop_oneof![
+        4 => Just(0_i64),
+        10 => 0..200_i64,
+        1 => 0..20_000_i64,
+        1 => -300..0_i64,
+    ];
+    let pixel = (0..sensor.width, 0..sensor.height, any::<bool>());
+    let crowded = (
+        0..sensor.width.min(3),
+        0..sensor.height.min(2),
+        any::<bool>(),
+    );
+    let item = (step, prop_oneof![pixel, crowded]);
+    (start, proptest::collection::vec(item, 0..=most)).prop_map(|(start, items)| {
+        let mut t_us = start;
+        items
+            .into_iter()
+            .map(|(step, (x, y, on))| {
+                t_us = t_us.saturating_add_signed(step);
+                Event {
+                    t_us,
+                    x,
+                    y,
+                    polarity: Polarity::from_bool(on),
+                }
+            })
+            .collect()
+    })
+}
+
+/// Any transform.
+pub fn transform() -> impl Strategy<Value = Transform> {
+    proptest::sample::select(Transform::ALL.to_vec())
+}
+
+/// A configuration for `sensor`: any transform or the regime's, any M, default or other grids.
+pub fn config(sensor: Sensor) -> impl Strategy<Value = Config> {
+    (
+        prop_oneof![1..50_u32, 500..5000_u32, Just(32_768)],
+        proptest::option::of(transform()),
+        1..=64_u8,
+        proptest::option::weighted(0.3, 1..=128_u16),
+        -15..=8_i8,
+        (0..2_000_000_000_000_u64, 0..50_000_000_000_000_u64),
+    )
+        .prop_map(
+            move |(window_us, transform, m, grid, step_log2, (low, more))| Config {
+                window: WindowConfig { sensor, window_us },
+                thresholds: Thresholds::new(low, low + more).expect("low is not above high"),
+                transform,
+                m,
+                grid,
+                quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
+            },
+        )
+}
+
+/// A configuration with its sensor and events.
+pub fn job(most: usize) -> impl Strategy<Value = (Config, Vec<Event>)> {
+    sensor().prop_flat_map(move |sensor| (config(sensor), events(sensor, most)))
+}
+
+/// A plain configuration.
+#[must_use]
+pub fn plain_config(sensor: Sensor, transform: Transform, m: u8) -> Config {
+    Config {
+        window: WindowConfig {
+            sensor,
+            window_us: 32_768,
+        },
+        thresholds: Thresholds::new(0, 0).expect("equal thresholds"),
+        transform: Some(transform),
+        m,
+        grid: None,
+        quantiser: Quantiser::DEFAULT,
+    }
+}
+
+/// Every frame that the encoder makes of `events`, with room for `window_events` in a window and
+/// `frame_bytes` in a frame.
+#[must_use]
+pub fn encode(
+    config: Config,
+    events: &[Event],
+    window_events: usize,
+    frame_bytes: usize,
+) -> Vec<Vec<u8>> {
+    let mut storage = HostStorage::new(config.window.sensor, window_events);
+    let mut encoder = storage.encoder(config).expect("a valid configuration");
+    let mut out = vec![0; frame_bytes];
+    let mut frames = Vec::new();
+    for event in events {
+        while encoder.push(*event) == Push::Closed {
+            while let Some(frame) = encoder.next_frame(&mut out).expect("room for a frame") {
+                frames.push(out[frame.range].to_vec());
+            }
+        }
+    }
+    encoder.flush();
+    while let Some(frame) = encoder.next_frame(&mut out).expect("room for a frame") {
+        frames.push(out[frame.range].to_vec());
+    }
+    frames
+}
+
+/// The frame that `bytes` are.
+#[must_use]
+pub fn parse(bytes: &[u8]) -> Frame<'_> {
+    match scan(bytes) {
+        Scan::Frame(frame) if frame.bytes == bytes.len() => frame,
+        other => panic!("not one whole frame: {other:?}"),
+    }
+}

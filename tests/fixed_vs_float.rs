@@ -1,0 +1,244 @@
+//! Each stage of the fixed-point core against the f64 oracle, within the stated bounds.
+
+use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
+use eecvs_nostd::phase::PhaseScale;
+use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX};
+use eecvs_nostd::{Config, Event, Frame, Polarity, Quantiser, Sensor, Transform};
+use host_harness::reconstruct::pixels;
+use host_harness::reference::{prune, transform as oracle};
+use proptest::prelude::*;
+use strategies::{encode, parse, plain_config, transform};
+
+/// |c - c_ref| <= n 2^-14 before quantisation.
+fn bound(events: usize) -> f64 {
+    events as f64 / 16_384.0
+}
+
+fn oracle_transform(transform: Transform) -> oracle::Transform {
+    match transform {
+        Transform::Dct => oracle::Transform::Dct,
+        Transform::Dtft => oracle::Transform::Dtft,
+        Transform::Dwt => oracle::Transform::Dwt,
+    }
+}
+
+fn accumulate(
+    transform: Transform,
+    impulses: &[oracle::Impulse],
+    duration_us: u32,
+    grid: usize,
+) -> Vec<(f64, f64)> {
+    let scale = PhaseScale::new(duration_us);
+    let impulses: Vec<_> = impulses
+        .iter()
+        .map(|impulse| eecvs_nostd::transform::Impulse {
+            phase: scale.phase(impulse.offset_us),
+            sign: impulse.p as i32,
+        })
+        .collect();
+    let mut sums = vec![Sum::ZERO; 2 * grid];
+    match transform {
+        Transform::Dct => Dct::accumulate(&impulses, grid, &mut sums),
+        Transform::Dtft => Dtft::accumulate(&impulses, grid, &mut sums),
+        Transform::Dwt => Dwt::accumulate(&impulses, grid, &mut sums),
+    }
+    (0..grid)
+        .map(|k| {
+            let re = sums[k].to_num::<f64>();
+            match transform {
+                Transform::Dct => (re, 0.0),
+                Transform::Dtft => (re, sums[grid + k].to_num()),
+                Transform::Dwt => (
+                    re * 2_f64.powf(f64::from(eecvs_nostd::transform::dwt::scale_of(k)) / 2.0),
+                    0.0,
+                ),
+            }
+        })
+        .collect()
+}
+
+/// Durations with their edges, and offsets that favour the atoms' discontinuities.
+fn pixel() -> impl Strategy<Value = (u32, Vec<oracle::Impulse>)> {
+    let duration = prop_oneof![
+        Just(1_u32),
+        Just(32_768),
+        Just(3_600_000_000),
+        Just(u32::MAX),
+        1..100_u32,
+        1..=u32::MAX,
+    ];
+    duration.prop_flat_map(|duration_us| {
+        let offset = prop_oneof![
+            Just(0),
+            Just(duration_us - 1),
+            0..duration_us,
+            (0..=256_u64, 0..3_u64).prop_map(move |(m, more)| {
+                // At, just before and just after m / 256 of the window.
+                let at = (m * u64::from(duration_us) / 256 + more).saturating_sub(1);
+                at.min(u64::from(duration_us) - 1) as u32
+            }),
+        ];
+        let impulse = (offset, any::<bool>()).prop_map(|(offset_us, on)| oracle::Impulse {
+            offset_us,
+            p: if on { 1.0 } else { -1.0 },
+        });
+        (
+            Just(duration_us),
+            proptest::collection::vec(impulse, 1..=CHUNK_EVENTS),
+        )
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(1500))]
+
+    #[test]
+    fn accumulate_is_within_n_times_2_to_the_minus_14(
+        (duration_us, impulses) in pixel(),
+        transform in transform(),
+        grid in prop_oneof![1..=128_u16, Just(GRID_MAX as u16)],
+    ) {
+        let grid = usize::from(transform.grid_size(8, Some(grid)));
+        let expected = oracle_transform(transform).coefficients(&impulses, duration_us, grid);
+        let found = accumulate(transform, &impulses, duration_us, grid);
+        for (k, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            let error = (found.0 - expected.re).hypot(found.1 - expected.im);
+            let bound = match transform {
+                // The Haar sums are exact; what is left is the f64 rounding of the scale.
+                Transform::Dwt => 1e-12 * (1.0 + expected.re.abs()),
+                _ => bound(impulses.len()),
+            };
+            prop_assert!(error <= bound, "{:?} k {} of {}: {} > {}", transform, k, grid, error, bound);
+        }
+    }
+}
+
+/// Events of one pixel in a window of 32,768 us.
+fn impulses(count: std::ops::Range<usize>) -> impl Strategy<Value = Vec<oracle::Impulse>> {
+    let impulse = (0..32_768_u32, any::<bool>()).prop_map(|(offset_us, on)| oracle::Impulse {
+        offset_us,
+        p: if on { 1.0 } else { -1.0 },
+    });
+    proptest::collection::vec(impulse, count)
+}
+
+/// One pixel's events through the whole encoder and back.
+fn through_the_link(config: Config, impulses: &[oracle::Impulse]) -> Vec<(u16, f64, f64)> {
+    let mut events: Vec<Event> = impulses
+        .iter()
+        .map(|impulse| Event {
+            t_us: 1000 + u64::from(impulse.offset_us),
+            x: 0,
+            y: 0,
+            polarity: Polarity::from_bool(impulse.p > 0.0),
+        })
+        .collect();
+    // An event in another pixel sets t0.
+    events.insert(
+        0,
+        Event {
+            t_us: 1000,
+            x: 1,
+            y: 0,
+            polarity: Polarity::On,
+        },
+    );
+    let frames = encode(config, &events, events.len(), 1 << 16);
+    assert_eq!(frames.len(), 1);
+    let frame: Frame<'_> = parse(&frames[0]);
+    assert_eq!(frame.header.saturated, 0);
+    let pixels = pixels(&frame).expect("the encoder's own payload");
+    pixels[0].coefficients.clone()
+}
+
+/// The kept coefficients of the whole path: values within the bound and half a step, and the
+/// oracle's kept set but for magnitudes that differ by less than the bound.
+fn check_kept(config: Config, impulses: &[oracle::Impulse]) -> Result<(), TestCaseError> {
+    let transform = config.transform.expect("one transform");
+    let grid = usize::from(transform.grid_size(config.m, config.grid));
+    let oracle_kind = oracle_transform(transform);
+    let expected = oracle_kind.coefficients(impulses, config.window.window_us, grid);
+    let kept = prune::kept(oracle_kind, &expected, usize::from(config.m));
+    let found = through_the_link(config, impulses);
+    let half_step = 2_f64.powi(i32::from(config.quantiser.step_log2())) / 2.0;
+    let slack = bound(impulses.len());
+    // re and im are quantised on their own.
+    let tolerance = slack
+        + half_step
+            * if transform.is_complex() {
+                2_f64.sqrt()
+            } else {
+                1.0
+            };
+    let least_kept = kept
+        .iter()
+        .map(|k| expected[*k].norm())
+        .fold(f64::INFINITY, f64::min);
+    for (k, re, im) in &found {
+        let expected = expected[usize::from(*k)];
+        let error = (re - expected.re).hypot(im - expected.im);
+        prop_assert!(
+            error <= tolerance + 1e-9,
+            "k {}: {} > {}",
+            k,
+            error,
+            tolerance
+        );
+        prop_assert!(
+            kept.contains(&usize::from(*k)) || expected.norm() >= least_kept - 2.0 * slack,
+            "k {} is not among the largest",
+            k
+        );
+    }
+    for k in kept {
+        let is_found = found.iter().any(|(found, ..)| usize::from(*found) == k);
+        let may_be_cut = expected[k].norm() <= least_kept + 2.0 * slack;
+        prop_assert!(
+            is_found || may_be_cut || expected[k].norm() <= tolerance,
+            "k {} is missing",
+            k
+        );
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(600))]
+
+    #[test]
+    fn the_link_keeps_the_oracles_coefficients(
+        transform in transform(),
+        m in prop_oneof![Just(8_u8), Just(16), Just(24), Just(64), 1..=64_u8],
+        step_log2 in -15..=2_i8,
+        impulses in prop_oneof![9 => impulses(1..20), 1 => impulses(200..700)],
+    ) {
+        let config = Config {
+            quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
+            ..plain_config(Sensor { width: 2, height: 1 }, transform, m)
+        };
+        check_kept(config, &impulses)?;
+    }
+}
+
+#[test]
+fn pixels_of_65_535_events_stay_within_the_bound() {
+    for transform in Transform::ALL {
+        for alternating in [false, true] {
+            let impulses: Vec<_> = (0..65_535_u32)
+                .map(|i| oracle::Impulse {
+                    offset_us: i / 2,
+                    p: if alternating && i % 2 == 1 { -1.0 } else { 1.0 },
+                })
+                .collect();
+            let config = plain_config(
+                Sensor {
+                    width: 2,
+                    height: 1,
+                },
+                transform,
+                64,
+            );
+            check_kept(config, &impulses).expect("within the bound");
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! Frozen vectors: input, coefficients and bytes, so that a failure names its stage.
+//!
+//! `EECVS_BLESS=1 cargo test -p eecvs-tests --test golden` writes them anew; review the diff, and
+//! raise the wire version where bytes changed.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use eecvs_nostd::{Event, OUTPUT_BYTES_MIN, Polarity, Sensor, Transform};
+use serde::{Deserialize, Serialize};
+use strategies::{encode, parse, plain_config};
+
+/// (x, y, on, off, [(k, re, im)]), levels as on the link.
+type GoldenPixel = (u16, u16, u32, u32, Vec<(u16, i32, i32)>);
+
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Golden {
+    width: u16,
+    height: u16,
+    transform: String,
+    m: u8,
+    /// (t_us, x, y, p)
+    events: Vec<(u64, u16, u16, u8)>,
+    pixels: Vec<GoldenPixel>,
+    /// Frames in hexadecimal.
+    frames: Vec<String>,
+}
+
+/// Two windows: single events, a pair, a burst of mixed polarity, a crowded pixel beyond one
+/// chunk, the last column and row.
+fn events() -> Vec<Event> {
+    let mut events = Vec::new();
+    let mut put = |t_us: u64, x, y, on| {
+        events.push(Event {
+            t_us: 1_700_000_000_000_000 + t_us,
+            x,
+            y,
+            polarity: Polarity::from_bool(on),
+        });
+    };
+    put(0, 3, 1, true);
+    put(16_384, 3, 1, false);
+    put(100, 39, 2, true);
+    for i in 0..9 {
+        put(200 + i * 3_001, 33, 0, i % 3 != 0);
+    }
+    for i in 0..300 {
+        put(500 + i * 97, 0, 2, i % 5 != 0);
+    }
+    put(32_767, 39, 2, false);
+    put(40_000, 12, 1, false);
+    events
+}
+
+#[test]
+fn frames_are_those_of_the_golden_vectors() {
+    let sensor = Sensor {
+        width: 40,
+        height: 3,
+    };
+    let events = events();
+    for transform in Transform::ALL {
+        for m in [8, 16] {
+            let frames = encode(
+                plain_config(sensor, transform, m),
+                &events,
+                1000,
+                OUTPUT_BYTES_MIN,
+            );
+            let golden = Golden {
+                width: sensor.width,
+                height: sensor.height,
+                transform: transform.name().into(),
+                m,
+                events: events
+                    .iter()
+                    .map(|e| (e.t_us, e.x, e.y, e.polarity as u8))
+                    .collect(),
+                pixels: frames.iter().flat_map(|bytes| pixels(bytes)).collect(),
+                frames: frames.iter().map(|bytes| hex(bytes)).collect(),
+            };
+            let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+                .join(format!("golden/v1_{}_{m}.json", transform.name()));
+            if std::env::var_os("EECVS_BLESS").is_some() {
+                let text = serde_json::to_string(&golden).expect("plain data") + "\n";
+                std::fs::write(&path, text).expect("the golden folder is writable");
+            }
+            let text = std::fs::read_to_string(&path).expect("a golden vector");
+            let frozen: Golden = serde_json::from_str(&text).expect("a golden vector's JSON");
+            assert_eq!(golden.events, frozen.events, "{transform:?} {m}: events");
+            assert_eq!(golden.pixels, frozen.pixels, "{transform:?} {m}: levels");
+            assert_eq!(golden.frames, frozen.frames, "{transform:?} {m}: bytes");
+        }
+    }
+}
+
+fn pixels(bytes: &[u8]) -> Vec<GoldenPixel> {
+    parse(bytes)
+        .descriptors()
+        .map(|descriptor| {
+            let d = descriptor.expect("the encoder's own payload");
+            let levels = d
+                .levels
+                .iter()
+                .map(|level| (level.k, level.re, level.im))
+                .collect();
+            (d.x, d.y, d.on, d.off, levels)
+        })
+        .collect()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        write!(text, "{byte:02x}").expect("a string");
+        text
+    })
+}

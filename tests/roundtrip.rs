@@ -1,0 +1,190 @@
+//! unpack(pack(d)) == d, and what a frame carries is what went in.
+
+use std::collections::BTreeMap;
+
+use eecvs_nostd::bits::{BitReader, BitWriter};
+use eecvs_nostd::transform::Rule;
+use eecvs_nostd::{Descriptor, Level, OUTPUT_BYTES_MIN, Packing, Quantiser, Transform};
+use proptest::prelude::*;
+use strategies::{encode, job, parse, sensor, transform};
+
+fn packing() -> impl Strategy<Value = Packing> {
+    (
+        sensor(),
+        1..5000_u32,
+        transform(),
+        1..=64_u8,
+        1..=200_u16,
+        -15..=8_i8,
+    )
+        .prop_map(
+            |(sensor, window_events, transform, m, grid, step_log2)| Packing {
+                sensor,
+                window_events,
+                transform,
+                m,
+                grid: transform.grid_size(m, Some(grid)),
+                quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
+            },
+        )
+}
+
+/// A descriptor that an encoder may write: indices ascending and kept, levels not zero, c_0 the
+/// one that the counts imply.
+fn descriptor(packing: Packing) -> impl Strategy<Value = Descriptor> {
+    let grid = match packing.transform.rule() {
+        Rule::LowFrequency => packing.kept(),
+        Rule::Magnitude => usize::from(packing.grid),
+    };
+    let kept = packing.kept();
+    let level = prop_oneof![8 => -70..70_i32, 1 => any::<i32>()];
+    (
+        0..packing.sensor.width,
+        0..packing.sensor.height,
+        prop_oneof![9 => 0..6_u32, 1 => 0..70_000_u32],
+        prop_oneof![9 => 0..6_u32, 1 => 0..70_000_u32],
+        proptest::sample::subsequence((0..grid as u16).collect::<Vec<_>>(), 0..=kept),
+        proptest::collection::vec((level.clone(), level), 64),
+    )
+        .prop_map(move |(x, y, on, off, mut ks, values)| {
+            // The low frequencies always include c_0.
+            if packing.transform.rule() == Rule::LowFrequency && ks.first() != Some(&0) {
+                ks.truncate(kept - 1);
+                ks.insert(0, 0);
+            }
+            let on = if on + off == 0 { 1 } else { on };
+            let mut descriptor = Descriptor {
+                x,
+                y,
+                on,
+                off,
+                ..Descriptor::EMPTY
+            };
+            for (k, (re, im)) in ks.into_iter().zip(values) {
+                let im = if packing.transform.is_complex() {
+                    im
+                } else {
+                    0
+                };
+                let net =
+                    eecvs_nostd::fixed_point::WideSum::from_num(i64::from(on) - i64::from(off));
+                let (re, im) = match (k, packing.transform) {
+                    (0, Transform::Dwt) => (packing.quantiser.haar(net, 0).0, 0),
+                    (0, _) => (packing.quantiser.uniform(net).0, 0),
+                    _ => (re, im),
+                };
+                if (re, im) != (0, 0) {
+                    descriptor
+                        .levels
+                        .push(Level { k, re, im })
+                        .expect("at most 64");
+                }
+            }
+            descriptor
+        })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn unpack_inverts_pack(
+        (packing, descriptor) in packing().prop_flat_map(|p| (Just(p), descriptor(p))),
+        before in any::<u32>(),
+    ) {
+        let index =
+            u32::from(descriptor.y) * u32::from(packing.sensor.width) + u32::from(descriptor.x);
+        let next_index = before % (index + 1);
+        let mut bytes = [0; eecvs_nostd::pack::PIXEL_BYTES_MAX];
+        let mut writer = BitWriter::new(&mut bytes);
+        let mut next = next_index;
+        prop_assert!(packing.pack(&descriptor, &mut next, &mut writer).is_ok());
+        prop_assert_eq!(next, index + 1);
+        let len = writer.finish();
+        let mut reader = BitReader::new(&bytes[..len]);
+        let mut next = next_index;
+        let unpacked = packing.unpack(&mut next, descriptor.events(), &mut reader);
+        prop_assert_eq!(unpacked, Ok(descriptor.clone()));
+        prop_assert!(reader.is_spent());
+        // One event fewer in the header, and the pixel contradicts it.
+        let mut reader = BitReader::new(&bytes[..len]);
+        prop_assert!(packing.unpack(&mut next_index.clone(), descriptor.events() - 1, &mut reader).is_err());
+    }
+
+    #[test]
+    fn any_payload_unpacks_or_is_refused(
+        packing in packing(), bytes in proptest::collection::vec(any::<u8>(), 0..200),
+    ) {
+        let mut reader = BitReader::new(&bytes);
+        let mut next = 0;
+        while let Ok(descriptor) = packing.unpack(&mut next, 100_000, &mut reader) {
+            prop_assert!(packing.sensor.contains(descriptor.x, descriptor.y));
+            prop_assert!(descriptor.levels.len() <= packing.kept());
+            prop_assert!(descriptor.levels.iter().all(|level| level.k < packing.grid));
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn every_event_is_accounted_for_and_counted_in_its_pixel(
+        (config, events) in job(400),
+        window_events in prop_oneof![1..40_usize, Just(1000)],
+        frame_bytes in prop_oneof![Just(OUTPUT_BYTES_MIN), Just(1 << 16)],
+    ) {
+        let frames = encode(config, &events, window_events, frame_bytes);
+        let mut accounted = 0;
+        let mut counts: BTreeMap<(u16, u16), (u32, u32)> = BTreeMap::new();
+        for (index, bytes) in frames.iter().enumerate() {
+            let frame = parse(bytes);
+            let header = frame.header;
+            prop_assert_eq!(header.sequence, index as u32);
+            prop_assert!(bytes.len() <= frame_bytes);
+            let mut events = 0;
+            for descriptor in frame.descriptors() {
+                let descriptor = descriptor.expect("the encoder's own payload");
+                events += descriptor.events();
+                let count = counts.entry((descriptor.y, descriptor.x)).or_default();
+                count.0 += descriptor.on;
+                count.1 += descriptor.off;
+            }
+            prop_assert_eq!(events, header.events);
+            accounted += header.events + header.late + header.filtered + header.dropped;
+        }
+        prop_assert_eq!(accounted as usize, events.len());
+        let late: u32 = frames.iter().map(|bytes| parse(bytes).header.late).sum();
+        if late == 0 {
+            let mut expected: BTreeMap<(u16, u16), (u32, u32)> = BTreeMap::new();
+            for event in &events {
+                let count = expected.entry((event.y, event.x)).or_default();
+                match event.polarity {
+                    eecvs_nostd::Polarity::On => count.0 += 1,
+                    eecvs_nostd::Polarity::Off => count.1 += 1,
+                }
+            }
+            prop_assert_eq!(counts, expected);
+        }
+    }
+
+    #[test]
+    fn smaller_frames_carry_the_same_pixels((config, events) in job(300)) {
+        let one: Vec<_> = pixels(&encode(config, &events, 1000, 1 << 20));
+        let many: Vec<_> = pixels(&encode(config, &events, 1000, OUTPUT_BYTES_MIN));
+        prop_assert_eq!(one, many);
+    }
+}
+
+fn pixels(frames: &[Vec<u8>]) -> Vec<(u64, u32, Descriptor)> {
+    frames
+        .iter()
+        .flat_map(|bytes| {
+            let frame = parse(bytes);
+            frame.descriptors().map(move |descriptor| {
+                let descriptor = descriptor.expect("the encoder's own payload");
+                (frame.header.t0_us, frame.header.duration_us, descriptor)
+            })
+        })
+        .collect()
+}

@@ -1,0 +1,177 @@
+//! The core's windows, regimes and order independence against the oracle.
+
+use std::num::{NonZeroU32, NonZeroUsize};
+
+use eecvs_nostd::{Event, Polarity, Regime, Sensor, Transform};
+use host_harness::reference::{density, regime, window};
+use proptest::prelude::*;
+use strategies::{encode, job, parse, plain_config};
+
+const FRAME_BYTES: usize = 1 << 20;
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    #[test]
+    fn windows_and_regimes_are_the_oracles(
+        (config, events) in job(300), window_events in prop_oneof![1..30_usize, Just(1000)],
+    ) {
+        let sensor = config.window.sensor;
+        let expected = window::windows(
+            &events,
+            NonZeroU32::new(config.window.window_us).expect("at least 1"),
+            NonZeroUsize::new(window_events).expect("at least 1"),
+        );
+        let frames = encode(config, &events, window_events, FRAME_BYTES);
+        let headers: Vec<_> = frames
+            .iter()
+            .map(|bytes| parse(bytes).header)
+            .filter(|header| header.window_events > 0)
+            .collect();
+        prop_assert_eq!(headers.len(), expected.len());
+        for (header, expected) in headers.iter().zip(&expected) {
+            prop_assert_eq!(header.t0_us, expected.t0_us);
+            prop_assert_eq!(header.duration_us, expected.duration_us);
+            prop_assert_eq!(header.window_events as usize, expected.events.len());
+            let truncated = expected.duration_us != config.window.window_us;
+            prop_assert!(header.truncated || !truncated);
+            let rho = density::window_density(expected, sensor);
+            let pico = |tau: u64| tau as f64 * 1e-12;
+            let (low, high) =
+                (pico(config.thresholds.tau_low_pico()), pico(config.thresholds.tau_high_pico()));
+            // A density within rounding of a threshold is decided exactly by the core alone.
+            if (rho - low).abs() > 1e-9 * low && (rho - high).abs() > 1e-9 * high {
+                let expected = match regime::Regime::of(rho, low, high) {
+                    regime::Regime::Sparse => Regime::Sparse,
+                    regime::Regime::Moderate => Regime::Moderate,
+                    regime::Regime::Dense => Regime::Dense,
+                };
+                prop_assert_eq!(header.regime, expected);
+                prop_assert_eq!(
+                    header.transform,
+                    config.transform.unwrap_or(expected.transform())
+                );
+            }
+        }
+        let late: u64 = expected.iter().map(|window| window.late).sum();
+        let counted: u32 = frames.iter().map(|bytes| parse(bytes).header.late).sum();
+        prop_assert_eq!(u64::from(counted), late);
+    }
+
+    #[test]
+    fn order_inside_a_window_is_irrelevant(
+        (config, mut events) in job(200), seed in any::<u64>(),
+    ) {
+        // One window: every event within it, the first one first so that t0 stays.
+        for event in &mut events {
+            event.t_us %= u64::from(config.window.window_us);
+        }
+        events.sort_by_key(|event| event.t_us);
+        let sorted = encode(config, &events, 1000, FRAME_BYTES);
+        if events.len() > 2 {
+            let rest = &mut events[1..];
+            let mut state = seed | 1;
+            for i in (1..rest.len()).rev() {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                rest.swap(i, (state >> 33) as usize % (i + 1));
+            }
+        }
+        prop_assert_eq!(encode(config, &events, 1000, FRAME_BYTES), sorted);
+    }
+}
+
+fn at(t_us: u64, x: u16) -> Event {
+    Event {
+        t_us,
+        x,
+        y: 0,
+        polarity: Polarity::On,
+    }
+}
+
+fn headers(events: &[Event], window_events: usize) -> Vec<(u64, u32, u32, bool, u32, u32)> {
+    let sensor = Sensor {
+        width: 40,
+        height: 2,
+    };
+    let config = plain_config(sensor, Transform::Dct, 8);
+    encode(config, events, window_events, FRAME_BYTES)
+        .iter()
+        .map(|bytes| {
+            let h = parse(bytes).header;
+            (
+                h.t0_us,
+                h.duration_us,
+                h.window_events,
+                h.truncated,
+                h.late,
+                h.dropped,
+            )
+        })
+        .collect()
+}
+
+#[test]
+fn windows_are_half_open_and_aligned_to_the_first_event() {
+    assert_eq!(
+        headers(
+            &[at(5, 0), at(32_772, 1), at(32_773, 2), at(200_000, 3)],
+            10
+        ),
+        [
+            (5, 32_768, 2, false, 0, 0),
+            (32_773, 32_768, 1, false, 0, 0),
+            (5 + 6 * 32_768, 32_768, 1, false, 0, 0),
+        ]
+    );
+}
+
+#[test]
+fn a_full_buffer_closes_early_and_loses_nothing() {
+    // The second window is full when the fifth event comes, still within its T.
+    assert_eq!(
+        headers(
+            &[at(10, 0), at(20, 1), at(30, 2), at(30, 3), at(32_797, 4)],
+            2
+        ),
+        [
+            (10, 20, 2, true, 0, 0),
+            (30, 32_767, 2, true, 0, 0),
+            (32_797, 32_768, 1, false, 0, 0)
+        ]
+    );
+    // All at one time: every window lasts one microsecond and starts at the same time.
+    assert_eq!(
+        headers(&[at(7, 0); 5], 2),
+        [
+            (7, 1, 2, true, 0, 0),
+            (7, 1, 2, true, 0, 0),
+            (7, 32_768, 1, false, 0, 0)
+        ]
+    );
+}
+
+#[test]
+fn late_and_outside_events_are_counted_and_kept_out() {
+    assert_eq!(
+        headers(&[at(100, 0), at(99, 1), at(101, 40), at(102, 39)], 10),
+        [(100, 32_768, 2, false, 1, 1)]
+    );
+    // Counts without a window still reach the link.
+    assert_eq!(
+        headers(&[at(100, 0), at(40_000, 1), at(3, 1), at(4, 40)], 10),
+        [
+            (100, 32_768, 1, false, 0, 0),
+            (32_868, 32_768, 1, false, 1, 1)
+        ]
+    );
+    assert_eq!(headers(&[at(4, 40)], 10), [(0, 32_768, 0, false, 0, 1)]);
+}
+
+#[test]
+fn times_at_the_end_of_the_range_work() {
+    assert_eq!(
+        headers(&[at(u64::MAX - 1, 0), at(u64::MAX, 1), at(0, 2)], 10),
+        [(u64::MAX - 1, 32_768, 2, false, 1, 0)]
+    );
+}
