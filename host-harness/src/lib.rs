@@ -1,3 +1,4 @@
 //! Library behind the `eecvs` command.
 
 pub mod formats;
+pub mod scene;
