@@ -1,4 +1,5 @@
 //! Library behind the `eecvs` command.
 
+pub mod cmd;
 pub mod formats;
 pub mod scene;

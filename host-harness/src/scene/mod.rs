@@ -26,8 +26,8 @@ use crate::formats::{BATCH_EVENTS, EventReader, Skipped};
 use noise::{Arrivals, HotPixel, Random};
 use pattern::Placed;
 use pixel::{BLOCK, Pixels};
-pub use preset::{PRESETS, Preset};
 use preset::Script;
+pub use preset::{PRESETS, Preset};
 use queue::Queue;
 use texture::Texture;
 

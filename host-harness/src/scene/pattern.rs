@@ -282,7 +282,10 @@ mod tests {
         };
         // After whole swings only the mean velocity counts.
         let (x, y) = camera.offset(1.5);
-        assert!((x - 60.0).abs() < 1e-9 && (y + 15.0).abs() < 1e-9, "{x} {y}");
+        assert!(
+            (x - 60.0).abs() < 1e-9 && (y + 15.0).abs() < 1e-9,
+            "{x} {y}"
+        );
         // The velocity is nothing three quarters into a swing.
         let slow = camera.offset(0.376).0 - camera.offset(0.374).0;
         assert!(slow.abs() < 1e-3, "{slow}");

@@ -57,8 +57,10 @@ impl Tables {
         let mut dark = [0.0; TABLE];
         for (i, (alpha, dark)) in alpha.iter_mut().zip(&mut dark).enumerate() {
             let log = (i as f32 + 0.5) / 64.0 - 8.0;
-            let bandwidth = (model.bandwidth_hz * libm::expf(log))
-                .clamp(BANDWIDTH_HZ.0.min(model.bandwidth_hz), BANDWIDTH_HZ.1.max(model.bandwidth_hz));
+            let bandwidth = (model.bandwidth_hz * libm::expf(log)).clamp(
+                BANDWIDTH_HZ.0.min(model.bandwidth_hz),
+                BANDWIDTH_HZ.1.max(model.bandwidth_hz),
+            );
             let turns = bandwidth * step_us as f32 * 1e-6;
             *alpha = 1.0 - libm::expf(-6.283_185_5 * turns);
             // Half way at a seventh of the light of a room.

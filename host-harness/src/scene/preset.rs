@@ -65,7 +65,7 @@ const PIXEL: PixelModel = PixelModel {
     refractory_us: 300,
     jitter_us: 60,
     leak_hz: 0.05,
-    noise_hz: (0.02, 0.5),
+    noise_hz: (0.01, 0.12),
     bandwidth_hz: 200.0,
 };
 
@@ -132,9 +132,9 @@ impl Preset {
 }
 
 /// A person or vehicle that crosses the picture: an upright box.
-const fn walker(velocity: f64, half: (f64, f64), gain: f32) -> Pattern {
+const fn walker(from: f64, velocity: f64, half: (f64, f64), gain: f32) -> Pattern {
     Pattern::Box {
-        start: (0.1, 0.6),
+        start: (from, 0.6),
         velocity: (velocity, 0.0),
         lap: 1.6,
         half,
@@ -153,17 +153,17 @@ fn indoor_dark_hdr() -> Script {
         },
         camera: Camera::STATIC,
         patterns: vec![
-            walker(0.35, (0.06, 0.2), 0.9),
+            walker(0.72, 0.45, (0.03, 0.11), 0.9),
             Pattern::Box {
                 start: (0.7, 0.3),
                 velocity: (0.0, 0.0),
                 lap: 1.0,
-                half: (0.12, 0.012),
-                spin_hz: 0.7,
+                half: (0.09, 0.012),
+                spin_hz: 0.4,
                 gain: 1.1,
             },
             Pattern::Flicker {
-                area: (0.05, 0.1, 0.11, 0.18),
+                area: (0.05, 0.1, 0.075, 0.14),
                 hz: 100.0,
                 depth: 0.9,
                 square: false,
@@ -186,10 +186,10 @@ fn indoor_dark_blur() -> Script {
             ..LOOK
         },
         camera: Camera {
-            drift: (18.0, 3.0),
+            drift: (10.0, 2.0),
             pulse: 1.0,
             pulse_hz: 1.3,
-            sway: [(4.0, 2.5, 1.1), (0.0, 0.0, 0.0)],
+            sway: [(2.0, 1.5, 1.1), (0.0, 0.0, 0.0)],
             parallax: 0.0,
         },
         patterns: Vec::new(),
@@ -208,14 +208,14 @@ fn indoor_hdr_blur() -> Script {
             ..LOOK
         },
         camera: Camera {
-            drift: (90.0, 12.0),
+            drift: (52.0, 8.0),
             pulse: 1.0,
             pulse_hz: 1.6,
             sway: [(5.0, 4.0, 1.9), (0.0, 0.0, 0.0)],
             parallax: 0.2,
         },
         patterns: vec![Pattern::Flicker {
-            area: (0.8, 0.05, 0.9, 0.15),
+            area: (0.8, 0.05, 0.83, 0.09),
             hz: 100.0,
             depth: 0.8,
             square: false,
@@ -236,13 +236,13 @@ fn outdoor_well_lit_blur() -> Script {
             ..LOOK
         },
         camera: Camera {
-            drift: (-130.0, 15.0),
+            drift: (-75.0, 8.0),
             pulse: 1.0,
             pulse_hz: 1.4,
             sway: [(4.0, 3.0, 2.3), (0.0, 0.0, 0.0)],
             parallax: 0.3,
         },
-        patterns: vec![walker(0.5, (0.08, 0.12), -1.0)],
+        patterns: vec![walker(0.1, 0.5, (0.08, 0.12), -1.0)],
         pixel: PIXEL,
         hot: (1e-4, 20.0),
     }
@@ -258,21 +258,21 @@ fn outdoor_dark_blur() -> Script {
             ..LOOK
         },
         camera: Camera {
-            drift: (60.0, 5.0),
+            drift: (26.0, 3.0),
             pulse: 1.0,
             pulse_hz: 1.2,
-            sway: [(3.0, 3.0, 1.7), (0.0, 0.0, 0.0)],
+            sway: [(1.5, 1.5, 1.7), (0.0, 0.0, 0.0)],
             parallax: 0.3,
         },
         patterns: vec![Pattern::Flicker {
-            area: (0.3, 0.1, 0.33, 0.14),
+            area: (0.3, 0.1, 0.315, 0.125),
             hz: 100.0,
             depth: 1.2,
             square: false,
             rest: 0.2,
         }],
         pixel: PixelModel {
-            noise_hz: (0.02, 0.4),
+            noise_hz: (0.01, 0.2),
             ..PIXEL
         },
         hot: (3e-4, 30.0),
@@ -284,15 +284,15 @@ fn indoor_flying() -> Script {
         step_us: 1_000,
         look: Look {
             light: 0.7,
-            patches: 200,
-            contrast: 1.2,
+            patches: 130,
+            contrast: 1.1,
             ..LOOK
         },
         camera: Camera {
-            drift: (120.0, 30.0),
+            drift: (60.0, 15.0),
             pulse: 1.0,
             pulse_hz: 1.1,
-            sway: [(24.0, 16.0, 0.9), (2.5, 3.5, 4.3)],
+            sway: [(14.0, 10.0, 0.9), (1.0, 1.5, 4.3)],
             parallax: 0.4,
         },
         patterns: vec![
@@ -305,7 +305,7 @@ fn indoor_flying() -> Script {
                 gain: -1.0,
             },
             Pattern::Flicker {
-                area: (0.55, 0.0, 0.65, 0.08),
+                area: (0.55, 0.0, 0.6, 0.04),
                 hz: 100.0,
                 depth: 0.8,
                 square: false,
@@ -322,16 +322,16 @@ fn motorcycle() -> Script {
         step_us: 1_000,
         look: Look {
             light: 1.5,
-            patches: 220,
-            contrast: 1.3,
+            patches: 130,
+            contrast: 1.2,
             grain: 0.03,
             ..LOOK
         },
         camera: Camera {
-            drift: (260.0, 0.0),
+            drift: (170.0, 0.0),
             pulse: 0.7,
             pulse_hz: 0.8,
-            sway: [(1.0, 3.0, 3.1), (0.4, 1.2, 23.0)],
+            sway: [(1.0, 2.0, 3.1), (0.1, 0.4, 23.0)],
             parallax: 1.6,
         },
         patterns: vec![
@@ -370,13 +370,13 @@ fn outdoor_low_brightness() -> Script {
             ..LOOK
         },
         camera: Camera {
-            drift: (24.0, 2.0),
+            drift: (11.0, 1.5),
             pulse: 1.0,
             pulse_hz: 1.5,
-            sway: [(2.0, 2.0, 1.3), (0.0, 0.0, 0.0)],
+            sway: [(1.0, 1.0, 1.3), (0.0, 0.0, 0.0)],
             parallax: 0.4,
         },
-        patterns: vec![walker(0.8, (0.1, 0.06), 1.0)],
+        patterns: vec![walker(0.4, 0.9, (0.09, 0.05), 1.0)],
         pixel: PIXEL,
         hot: (2e-4, 20.0),
     }
@@ -393,15 +393,15 @@ fn outdoor_dark() -> Script {
         camera: Camera::STATIC,
         patterns: vec![
             Pattern::Box {
-                start: (0.15, 0.45),
-                velocity: (0.45, 0.02),
+                start: (0.78, 0.45),
+                velocity: (0.3, 0.02),
                 lap: 1.5,
                 half: (0.012, 0.012),
                 spin_hz: 0.0,
-                gain: 3.0,
+                gain: 2.0,
             },
             Pattern::Flicker {
-                area: (0.8, 0.3, 0.83, 0.33),
+                area: (0.8, 0.3, 0.825, 0.325),
                 hz: 5.0,
                 depth: 2.0,
                 square: true,
@@ -410,7 +410,7 @@ fn outdoor_dark() -> Script {
         ],
         pixel: PixelModel {
             leak_hz: 0.03,
-            noise_hz: (0.01, 0.08),
+            noise_hz: (0.01, 0.06),
             ..PIXEL
         },
         hot: (2e-4, 10.0),

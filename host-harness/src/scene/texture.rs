@@ -54,9 +54,7 @@ impl Texture {
         for log in &mut tile {
             *log += look.grain * random.normal() + look.light - 0.25 * look.hdr;
         }
-        Self {
-            log: soften(&tile),
-        }
+        Self { log: soften(&tile) }
     }
 
     /// Writes the log intensity at (u + i, v) to `out[i]`, bilinear between lattice points.
@@ -80,11 +78,8 @@ impl Texture {
             let (now, later) = rest.split_at_mut(run);
             let a = &upper[column..=column + run];
             let b = &lower[column..=column + run];
-            for (((out, a), b), (a1, b1)) in now
-                .iter_mut()
-                .zip(a)
-                .zip(b)
-                .zip(a[1..].iter().zip(&b[1..]))
+            for (((out, a), b), (a1, b1)) in
+                now.iter_mut().zip(a).zip(b).zip(a[1..].iter().zip(&b[1..]))
             {
                 *out = weights[0] * a + weights[1] * a1 + weights[2] * b + weights[3] * b1;
             }
@@ -139,9 +134,8 @@ fn paint(
 /// an edge takes about two pixels; adds the column that repeats the first.
 fn soften(tile: &[f32]) -> Vec<f32> {
     let at = |x: usize, y: usize| tile[(y & (SIDE - 1)) * SIDE + (x & (SIDE - 1))];
-    let across = |x: usize, y: usize| {
-        0.25 * at(x.wrapping_sub(1), y) + 0.5 * at(x, y) + 0.25 * at(x + 1, y)
-    };
+    let across =
+        |x: usize, y: usize| 0.25 * at(x.wrapping_sub(1), y) + 0.5 * at(x, y) + 0.25 * at(x + 1, y);
     let mut log = Vec::with_capacity(SIDE * (SIDE + 1));
     for y in 0..SIDE {
         log.extend((0..=SIDE).map(|x| {
@@ -184,6 +178,9 @@ mod tests {
         let least = texture.log.iter().copied().fold(f32::MAX, f32::min);
         let most = texture.log.iter().copied().fold(f32::MIN, f32::max);
         assert!(most - least > LOOK.hdr, "{least} to {most}");
-        assert!(most - least < LOOK.hdr + 5.0 * LOOK.contrast, "{least} to {most}");
+        assert!(
+            most - least < LOOK.hdr + 5.0 * LOOK.contrast,
+            "{least} to {most}"
+        );
     }
 }

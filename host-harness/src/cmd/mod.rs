@@ -1,0 +1,3 @@
+//! Subcommands of `eecvs`, one file each, with the help of its flags beside it.
+
+pub mod emulate;
