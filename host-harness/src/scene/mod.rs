@@ -13,6 +13,7 @@
 
 mod noise;
 mod pattern;
+mod photoreceptor;
 mod pixel;
 mod preset;
 mod queue;

@@ -8,6 +8,9 @@ use eecvs_nostd::Sensor;
 /// One turn in radians.
 const TURN: f64 = core::f64::consts::TAU;
 
+/// Depths of the background, one below the other.
+const LAYERS: u32 = 6;
+
 /// Movement of the camera, in pixels of the background.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Camera {
@@ -19,8 +22,8 @@ pub(super) struct Camera {
     pub(super) pulse_hz: f64,
     /// Sway: amplitudes in pixels and frequency.
     pub(super) sway: [(f64, f64, f64); 2],
-    /// Difference in horizontal speed between the lowest and the uppermost row, relative to the
-    /// middle: near ground passes faster than the sky.
+    /// Difference in horizontal speed from the upper to the lower edge, relative to the middle:
+    /// near ground passes faster than the sky.
     pub(super) parallax: f64,
 }
 
@@ -59,9 +62,14 @@ impl Camera {
         (x, y)
     }
 
-    /// Horizontal speed of a row relative to the middle row.
+    /// Horizontal speed of a row relative to the middle.
+    ///
+    /// Rows move in [`LAYERS`] bands: within a band the picture stays whole however long the
+    /// scene, where a speed for each row would shear it more and more.
     pub(super) fn row_speed(&self, y: u16, height: u16) -> f64 {
-        1.0 + self.parallax * ((f64::from(y) + 0.5) / f64::from(height) - 0.5)
+        let layer = u32::from(y) * LAYERS / u32::from(height.max(1));
+        let middle = (f64::from(layer) + 0.5) / f64::from(LAYERS);
+        1.0 + self.parallax * (middle - 0.5)
     }
 }
 
@@ -290,6 +298,19 @@ mod tests {
         let slow = camera.offset(0.376).0 - camera.offset(0.374).0;
         assert!(slow.abs() < 1e-3, "{slow}");
         assert!(!Camera::STATIC.moves() && camera.moves());
+    }
+
+    #[test]
+    fn near_ground_is_faster_and_layers_are_rigid() {
+        let camera = Camera {
+            parallax: 1.2,
+            ..Camera::STATIC
+        };
+        let speeds: Vec<f64> = (0..60).map(|y| camera.row_speed(y, 60)).collect();
+        assert!(speeds.is_sorted());
+        assert_eq!(speeds.chunk_by(|a, b| a == b).count(), 6);
+        assert!((speeds[0] - 0.5).abs() < 1e-9 && (speeds[59] - 1.5).abs() < 1e-9);
+        assert!((camera.row_speed(0, 1) - 0.5).abs() < 1e-9);
     }
 
     #[test]

@@ -7,73 +7,14 @@
 use eecvs_nostd::{Polarity, Sensor};
 
 use super::noise::Random;
+use super::photoreceptor::{PixelModel, Tables};
 use super::queue::Queue;
 
 /// Pixels of a row that are looked at, or left asleep, together.
 pub(super) const BLOCK: usize = 64;
 
-/// Log intensities of the tables: -8 to 8 in steps of 1/64.
-const TABLE: usize = 1024;
-
 /// A difference between light and low-passed light too small to show: the block may sleep.
 const SETTLED: f32 = 1e-3;
-
-/// Parameters of the pixels of a sensor. Log intensity 0 is a well-lit room.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct PixelModel {
-    /// Mean threshold of ON events, in natural log intensity, above 0.
-    pub(super) threshold_on: f32,
-    /// Mean threshold of OFF events, above 0.
-    pub(super) threshold_off: f32,
-    /// Standard deviation of the thresholds from pixel to pixel, relative.
-    pub(super) mismatch: f32,
-    /// Least time between two events of a pixel.
-    pub(super) refractory_us: u32,
-    /// Largest random delay of an event in good light; up to four times that in the dark.
-    pub(super) jitter_us: u32,
-    /// ON events per second of a pixel without any change: its reference level leaks away.
-    pub(super) leak_hz: f32,
-    /// Noise events per second of a pixel, in good light and in the dark.
-    pub(super) noise_hz: (f32, f32),
-    /// Bandwidth of the photoreceptor at log intensity 0; it follows the intensity.
-    pub(super) bandwidth_hz: f32,
-}
-
-/// Least and largest bandwidth: bias currents bound it on both sides.
-const BANDWIDTH_HZ: (f32, f32) = (4.0, 2_000.0);
-
-/// What follows from the log intensity alone.
-#[derive(Debug, Clone)]
-struct Tables {
-    /// Share of the way to the light that the low-pass goes in a step.
-    alpha: [f32; TABLE],
-    /// 0 in good light to 1 in the dark.
-    dark: [f32; TABLE],
-}
-
-impl Tables {
-    fn new(model: &PixelModel, step_us: u32) -> Self {
-        let mut alpha = [0.0; TABLE];
-        let mut dark = [0.0; TABLE];
-        for (i, (alpha, dark)) in alpha.iter_mut().zip(&mut dark).enumerate() {
-            let log = (i as f32 + 0.5) / 64.0 - 8.0;
-            let bandwidth = (model.bandwidth_hz * libm::expf(log)).clamp(
-                BANDWIDTH_HZ.0.min(model.bandwidth_hz),
-                BANDWIDTH_HZ.1.max(model.bandwidth_hz),
-            );
-            let turns = bandwidth * step_us as f32 * 1e-6;
-            *alpha = 1.0 - libm::expf(-6.283_185_5 * turns);
-            // Half way at a seventh of the light of a room.
-            *dark = 1.0 / (1.0 + libm::expf(1.5 * (log + 2.0)));
-        }
-        Self { alpha, dark }
-    }
-
-    fn index(log: f32) -> usize {
-        // The cast saturates, a value that is not a number becomes 0.
-        ((log + 8.0) * 64.0).clamp(0.0, (TABLE - 1) as f32) as usize & (TABLE - 1)
-    }
-}
 
 /// Sleep of a block whose light rests.
 #[derive(Debug, Clone, Copy, Default)]
@@ -202,18 +143,35 @@ impl Pixels {
         sleep.computed = self.step;
         sleep.wake = self.step + 1;
 
+        // Loops of one kind of work each run in vectors.
+        let mut alpha = [0_usize; BLOCK];
+        for (alpha, light) in alpha.iter_mut().zip(light) {
+            *alpha = Tables::index(*light);
+        }
         let mut moved = [0.0_f32; BLOCK];
-        for ((moved, light), level) in moved.iter_mut().zip(light).zip(&mut *level) {
-            let way = self.tables.alpha[Tables::index(*light)] * (light - *level);
+        for (moved, alpha) in moved.iter_mut().zip(&alpha).take(count) {
+            *moved = self.tables.alpha_at(*alpha);
+        }
+        let mut any = false;
+        for (((((moved, light), level), change), on), off) in moved
+            .iter_mut()
+            .zip(light)
+            .zip(&mut *level)
+            .zip(&mut *change)
+            .zip(on)
+            .zip(off)
+        {
+            let way = *moved * (light - *level);
             *level += way;
             *moved = way + self.leak;
+            *change += *moved;
+            any |= (*change >= *on) | (*change <= -*off);
         }
         let mut fired = 0_u64;
-        for (i, (((moved, change), on), off)) in
-            moved.iter().zip(&mut *change).zip(on).zip(off).enumerate()
-        {
-            *change += moved;
-            fired |= u64::from((*change >= *on) | (*change <= -*off)) << i;
+        if any {
+            for (i, ((change, on), off)) in change.iter().zip(on).zip(off).enumerate() {
+                fired |= u64::from((*change >= *on) | (*change <= -*off)) << i;
+            }
         }
         if may_sleep && fired == 0 {
             let unsettled = light
@@ -249,7 +207,7 @@ impl Pixels {
         let Some((change, level)) = self.change.get(pixel).zip(self.level.get(pixel)) else {
             return;
         };
-        let (mut change, dark) = (*change, self.tables.dark[Tables::index(*level)]);
+        let (mut change, dark) = (*change, self.tables.dark(*level));
         let step = self.step_us as f32;
         // Where the step began, measured from the level of the last crossing.
         let mut begin = change - moved;
@@ -305,7 +263,7 @@ impl Pixels {
     pub(super) fn noise_share(&self, pixel: u32) -> f32 {
         let (lit, dark) = self.model.noise_hz;
         let level = self.level.get(pixel as usize).copied().unwrap_or(0.0);
-        let rate = lit + (dark - lit) * self.tables.dark[Tables::index(level)];
+        let rate = lit + (dark - lit) * self.tables.dark(level);
         rate / lit.max(dark).max(f32::MIN_POSITIVE)
     }
 
@@ -326,5 +284,205 @@ impl Pixels {
             *ready_us = t_us.saturating_add(u64::from(self.model.refractory_us));
             queue.push(after_us, x, y, polarity);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_nostd::Event;
+
+    use super::*;
+
+    /// A pixel without noise or delay that follows its light at once.
+    const IDEAL: PixelModel = PixelModel {
+        threshold_on: 0.25,
+        threshold_off: 0.25,
+        mismatch: 0.0,
+        refractory_us: 0,
+        jitter_us: 0,
+        leak_hz: 0.0,
+        noise_hz: (0.0, 0.0),
+        bandwidth_hz: 1e9,
+    };
+
+    const STEP_US: u32 = 1_000;
+
+    /// Events of one pixel whose log intensity at time t (in us) is `light(t)`, and how many
+    /// steps were computed. With `sleep`, steps of a pixel at rest are left out.
+    fn run(
+        model: PixelModel,
+        steps: u64,
+        sleep: bool,
+        light: impl Fn(f64) -> f32,
+    ) -> (Vec<Event>, u64) {
+        let sensor = Sensor {
+            width: 1,
+            height: 1,
+        };
+        let mut pixels = Pixels::new(sensor, STEP_US, model, Random::new(1, 1));
+        let mut queue = Queue::default();
+        let mut events = Vec::new();
+        let mut computed = 0;
+        pixels.settle(0, 0, &[light(0.0)]);
+        for step in 0..steps {
+            let start_us = step * u64::from(STEP_US);
+            let end_us = start_us + u64::from(STEP_US);
+            queue.begin(start_us);
+            pixels.begin_step();
+            let (before, now) = (light(start_us as f64), light(end_us as f64));
+            if !sleep || before != now || pixels.awake(0) {
+                computed += 1;
+                pixels.compute((0, 0), &[now], start_us, sleep, &mut queue);
+            }
+            queue.end(end_us);
+            queue.take(usize::MAX, 0, &mut events);
+        }
+        (events, computed)
+    }
+
+    fn ramp(per_s: f64, from: f64) -> impl Fn(f64) -> f32 {
+        move |t_us| (from + per_s * t_us * 1e-6) as f32
+    }
+
+    #[test]
+    fn ramp_crosses_thresholds_at_the_right_times() {
+        // Slopes in natural logarithms per second: one event per 2.5 ms or four per step.
+        for (per_s, every_us) in [(100.0, 2_500), (-100.0, 2_500), (1_000.0, 250)] {
+            let polarity = Polarity::from_bool(per_s > 0.0);
+            let us = 7_990_000.0 / f64::abs(per_s);
+            let steps = (us / 1e3) as u64;
+            let from = if per_s > 0.0 { -4.0 } else { 4.0 };
+            let (events, _) = run(IDEAL, steps, false, ramp(per_s, from));
+            let expected = steps * 1_000 / every_us;
+            // The last crossing may fall on the end itself.
+            let count = events.len() as u64;
+            assert!(
+                count == expected || count + 1 == expected,
+                "{per_s}: {count}"
+            );
+            for (i, event) in events.iter().enumerate() {
+                let t_us = (i as u64 + 1) * every_us;
+                assert!(event.t_us.abs_diff(t_us) <= 1, "{per_s}: {event:?} {t_us}");
+                assert_eq!(event.polarity, polarity);
+            }
+        }
+    }
+
+    #[test]
+    fn a_change_below_the_threshold_is_no_event() {
+        let wave = |amplitude: f64| move |t: f64| (amplitude * libm::sin(t * 1e-3)) as f32;
+        assert!(run(IDEAL, 100, false, wave(0.24)).0.is_empty());
+        assert!(!run(IDEAL, 100, false, wave(0.26)).0.is_empty());
+    }
+
+    #[test]
+    fn refractory_period_keeps_events_apart() {
+        let model = PixelModel {
+            refractory_us: 600,
+            ..IDEAL
+        };
+        // Crossings every 250 us: those 500 us after an event are too early.
+        let (events, _) = run(model, 6, false, ramp(1_000.0, -4.0));
+        let times: Vec<u64> = events.iter().map(|e| e.t_us).collect();
+        assert!(times.len() >= 7, "{times:?}");
+        assert!(times[0].abs_diff(250) <= 1, "{times:?}");
+        for pair in times.windows(2) {
+            assert!((pair[1] - pair[0]).abs_diff(750) <= 2, "{times:?}");
+        }
+    }
+
+    #[test]
+    fn darkness_slows_a_pixel() {
+        let model = PixelModel {
+            bandwidth_hz: 200.0,
+            ..IDEAL
+        };
+        let time_of_fourth = |dark: f32| {
+            let step = |t: f64| if t > 0.0 { dark } else { dark + 2.0 };
+            let (events, _) = run(model, 500, false, step);
+            events[3].t_us
+        };
+        let (lit, dim) = (time_of_fourth(1.0), time_of_fourth(-3.0));
+        // A factor of e^4 in bandwidth; the step of a millisecond hides a part. In the dark the
+        // middle of a step is reached after ln 2 / (2 pi 10 Hz).
+        assert!(lit < 1_000 && dim.abs_diff(11_000) < 1_500, "{lit} {dim}");
+    }
+
+    #[test]
+    fn leakage_gives_on_events_at_its_rate_asleep_or_not() {
+        let model = PixelModel {
+            leak_hz: 10.0,
+            ..IDEAL
+        };
+        let (waking, every_step) = run(model, 1_000, false, |_| -1.0);
+        let (sleeping, computed) = run(model, 1_000, true, |_| -1.0);
+        assert_eq!(every_step, 1_000);
+        assert!(computed < 100, "{computed}");
+        assert_eq!(waking.len(), sleeping.len());
+        assert!((9..=11).contains(&waking.len()));
+        for (a, b) in waking.iter().zip(&sleeping) {
+            assert_eq!((a.polarity, b.polarity), (Polarity::On, Polarity::On));
+            // Leakage added up at once or step by step rounds differently.
+            assert!(a.t_us.abs_diff(b.t_us) < 100, "{a:?} {b:?}");
+        }
+        for pair in sleeping.windows(2) {
+            assert!((pair[1].t_us - pair[0].t_us).abs_diff(100_000) < 100);
+        }
+    }
+
+    #[test]
+    fn latency_only_delays() {
+        let model = PixelModel {
+            jitter_us: 200,
+            ..IDEAL
+        };
+        let (ideal, _) = run(IDEAL, 70, false, ramp(100.0, -4.0));
+        let (late, _) = run(model, 70, false, ramp(100.0, -4.0));
+        let delays: Vec<u64> = ideal
+            .iter()
+            .zip(&late)
+            .map(|(ideal, late)| late.t_us - ideal.t_us)
+            .collect();
+        assert!(delays.iter().all(|us| *us <= 800), "{delays:?}");
+        assert!(delays.iter().any(|us| *us > 100), "{delays:?}");
+    }
+
+    #[test]
+    fn mismatch_spreads_the_thresholds() {
+        let sensor = Sensor {
+            width: 64,
+            height: 64,
+        };
+        let model = PixelModel {
+            mismatch: 0.1,
+            ..IDEAL
+        };
+        let pixels = Pixels::new(sensor, STEP_US, model, Random::new(5, 5));
+        let mean = pixels.threshold_on.iter().sum::<f32>() / 4_096.0;
+        let variance = pixels
+            .threshold_on
+            .iter()
+            .map(|t| (t - mean).powi(2))
+            .sum::<f32>();
+        assert!((mean - 0.25).abs() < 0.003, "{mean}");
+        assert!(((variance / 4_096.0).sqrt() - 0.025).abs() < 0.003);
+    }
+
+    #[test]
+    fn noise_grows_in_the_dark() {
+        let sensor = Sensor {
+            width: 3,
+            height: 1,
+        };
+        let model = PixelModel {
+            noise_hz: (0.1, 2.0),
+            ..IDEAL
+        };
+        let mut pixels = Pixels::new(sensor, STEP_US, model, Random::new(5, 5));
+        pixels.settle(0, 0, &[-6.0, -2.0, 4.0]);
+        let share = [0, 1, 2].map(|pixel| pixels.noise_share(pixel));
+        assert!(share[0] > 0.95 && share[0] <= 1.0, "{share:?}");
+        assert!((share[1] - 0.525).abs() < 0.05, "{share:?}");
+        assert!(share[2] < 0.06 && share[2] >= 0.05, "{share:?}");
     }
 }

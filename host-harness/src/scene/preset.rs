@@ -3,7 +3,7 @@
 use eecvs_nostd::Sensor;
 
 use super::pattern::{Camera, Pattern};
-use super::pixel::PixelModel;
+use super::photoreceptor::PixelModel;
 use super::texture::Look;
 
 /// A named scene.
