@@ -11,4 +11,5 @@ pub mod npy;
 pub mod progress;
 pub mod reconstruct;
 pub mod reference;
+pub mod scene;
 pub mod thresholds_file;

@@ -2,6 +2,7 @@
 
 pub mod calibrate;
 pub mod decode;
+pub mod emulate;
 pub mod encode;
 pub mod inspect;
 pub mod options;

@@ -1,0 +1,316 @@
+//! `eecvs emulate`: writes a seeded scene to a recording.
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use clap::ValueEnum;
+use eecvs_nostd::{Event, Polarity, Sensor};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use crate::formats::{self, EventReader, EventWriter};
+use crate::scene::{self, Emulator, PRESETS, Preset, SceneConfig};
+
+/// Emulate a seeded scene and write its events to a recording
+#[derive(Debug, Clone, clap::Args)]
+pub struct Emulate {
+    /// Scene type
+    #[arg(value_enum, value_name = "SCENE", required_unless_present = "list")]
+    scene: Option<Preset>,
+
+    /// List the scenes, a line about each, and exit
+    #[arg(long, conflicts_with_all = ["scene", "output"])]
+    list: bool,
+
+    /// Recording to write; the extension names the format
+    #[arg(short, long, value_name = "FILE", required_unless_present = "list")]
+    output: Option<PathBuf>,
+
+    /// The same seed gives the same events on every machine
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
+    /// Columns of the sensor [default: 346]
+    #[arg(long, requires = "height", value_parser = clap::value_parser!(u16).range(1..=2048))]
+    width: Option<u16>,
+
+    /// Rows of the sensor [default: 260]
+    #[arg(long, requires = "width", value_parser = clap::value_parser!(u16).range(1..=2048))]
+    height: Option<u16>,
+
+    /// Duration in microseconds [default: 1000000]
+    #[arg(long, value_name = "D")]
+    duration_us: Option<u64>,
+
+    /// Time at which the scene starts, in microseconds
+    #[arg(long, value_name = "T", default_value_t = 0)]
+    start_us: u64,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was written.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Written {
+    events: u64,
+    on: u64,
+}
+
+impl Emulate {
+    /// Runs the command; the result goes to stdout.
+    ///
+    /// # Errors
+    /// A scene that cannot be (its end beyond 2^64 us), an unknown extension, an unwritable
+    /// file, an event that the format cannot hold.
+    pub fn run(self) -> anyhow::Result<()> {
+        if self.list {
+            print!("{}", scenes());
+            return Ok(());
+        }
+        let (preset, output) = self.scene.zip(self.output.as_ref()).with_context(|| {
+            format!(
+                "give a scene and -o FILE; the scenes are\n{}",
+                scenes().trim_end()
+            )
+        })?;
+        let mut config = SceneConfig::new(preset, self.seed);
+        if let Some((width, height)) = self.width.zip(self.height) {
+            config.sensor = Sensor { width, height };
+        }
+        config.duration_us = self.duration_us.unwrap_or(config.duration_us);
+        config.start_us = self.start_us;
+
+        let mut emulator = scene::emulate(config)?;
+        let mut writer = formats::create(output, config.sensor)?;
+        let begun = Instant::now();
+        let written = write_scene(&mut emulator, writer.as_mut())
+            .with_context(|| format!("{}", output.display()))?;
+        writer
+            .finish()
+            .with_context(|| format!("{}", output.display()))?;
+        let seconds = begun.elapsed().as_secs_f64();
+        println!("{}", self.report(&config, written, seconds));
+        Ok(())
+    }
+
+    /// The result as a table or as JSON.
+    fn report(&self, config: &SceneConfig, written: Written, seconds: f64) -> String {
+        let scene_s = config.duration_us as f64 * 1e-6;
+        let exposure = f64::from(config.sensor.pixels()) * scene_s;
+        // An empty scene has no density, not one that is not a number.
+        let density = if exposure > 0.0 {
+            written.events as f64 / exposure
+        } else {
+            0.0
+        };
+        let output = self.output.as_deref().unwrap_or_else(|| "".as_ref());
+        if self.json {
+            return serde_json::json!({
+                "scene": config.preset.name(),
+                "file": output.display().to_string(),
+                "seed": config.seed,
+                "width": config.sensor.width,
+                "height": config.sensor.height,
+                "start_us": config.start_us,
+                "duration_us": config.duration_us,
+                "events": written.events,
+                "on": written.on,
+                "off": written.events - written.on,
+                "density_per_px_s": density,
+                "emulate_s": seconds,
+            })
+            .to_string();
+        }
+        format!(
+            "scene     {}, seed {}\nfile      {}\nsensor    {} x {}\nduration  {scene_s} s\n\
+             events    {} ({} on, {} off)\ndensity   {density:.3} events/px/s\n\
+             took      {seconds:.2} s",
+            config.preset.name(),
+            config.seed,
+            output.display(),
+            config.sensor.width,
+            config.sensor.height,
+            written.events,
+            written.on,
+            written.events - written.on,
+        )
+    }
+}
+
+/// The names of the scenes, a line about each.
+fn scenes() -> String {
+    PRESETS
+        .iter()
+        .filter_map(|preset| preset.to_possible_value().map(|value| (preset, value)))
+        .map(|(preset, value)| {
+            let about = value
+                .get_help()
+                .map(ToString::to_string)
+                .unwrap_or_default();
+            format!("{:<24}{about}\n", preset.name())
+        })
+        .collect()
+}
+
+/// Writes every event of a scene, batch by batch.
+fn write_scene(emulator: &mut Emulator, writer: &mut dyn EventWriter) -> anyhow::Result<Written> {
+    let bar = ProgressBar::with_draw_target(
+        Some(emulator.config().duration_us / 1_000),
+        ProgressDrawTarget::hidden(),
+    );
+    if let Ok(style) = ProgressStyle::with_template("{wide_bar} {pos}/{len} ms of scene, {eta}") {
+        bar.set_style(style);
+    }
+    let begun = Instant::now();
+    let mut written = Written::default();
+    let mut events: Vec<Event> = Vec::with_capacity(formats::BATCH_EVENTS);
+    while emulator.read(&mut events)? > 0 {
+        writer.write(&events)?;
+        written.events += events.len() as u64;
+        let on = events.iter().filter(|e| e.polarity == Polarity::On);
+        written.on += on.count() as u64;
+        events.clear();
+        // Short work needs no bar; the bar itself stays away where stderr is no terminal.
+        let hidden = bar.is_hidden() && begun.elapsed() > Duration::from_secs(1);
+        if hidden && std::io::stderr().is_terminal() {
+            bar.set_draw_target(ProgressDrawTarget::stderr());
+        }
+        bar.set_position(emulator.elapsed_us() / 1_000);
+    }
+    bar.finish_and_clear();
+    Ok(written)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::{CommandFactory, Parser};
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        emulate: Emulate,
+    }
+
+    fn parse(line: &str) -> Result<Emulate, clap::Error> {
+        let words = std::iter::once("emulate").chain(line.split_whitespace());
+        Line::try_parse_from(words).map(|line| line.emulate)
+    }
+
+    /// A recording in memory; fails once it holds more than `room` events.
+    struct Memory {
+        events: Vec<Event>,
+        room: usize,
+    }
+
+    impl EventWriter for Memory {
+        fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
+            self.events.extend_from_slice(events);
+            anyhow::ensure!(self.events.len() <= self.room, "full");
+            Ok(())
+        }
+
+        fn finish(self: Box<Self>) -> anyhow::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn flags_are_checked() {
+        Line::command().debug_assert();
+        let ok = "indoor-flying -o a.csv --seed 9 --width 2048 --height 1 --duration-us 0 --json";
+        let parsed = parse(ok).unwrap();
+        assert_eq!(parsed.scene, Some(Preset::IndoorFlying));
+        assert_eq!((parsed.width, parsed.height), (Some(2048), Some(1)));
+        assert!(parse("--list").unwrap().list);
+        for bad in [
+            "",
+            "indoor-flying",
+            "-o a.csv",
+            "indoor-flying -o a.csv --width 10",
+            "indoor-flying -o a.csv --width 0 --height 1",
+            "indoor-flying -o a.csv --width 1 --height 2049",
+            "indoor-flying -o a.csv --duration-us -1",
+        ] {
+            assert!(parse(bad).is_err(), "{bad}");
+        }
+        let message = parse("moon -o a.csv").unwrap_err().to_string();
+        assert!(
+            PRESETS.iter().all(|p| message.contains(p.name())),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn list_has_a_line_about_every_scene() {
+        let list = scenes();
+        assert_eq!(list.lines().count(), PRESETS.len());
+        for (line, preset) in list.lines().zip(PRESETS) {
+            let about = line.strip_prefix(preset.name()).unwrap();
+            assert!(about.trim().len() > 10, "{line}");
+        }
+    }
+
+    #[test]
+    fn every_event_is_written_and_counted() {
+        let mut config = SceneConfig::new(Preset::Motorcycle, 4);
+        config.duration_us = 30_000;
+        let mut writer = Memory {
+            events: Vec::new(),
+            room: usize::MAX,
+        };
+        let mut emulator = scene::emulate(config).unwrap();
+        let written = write_scene(&mut emulator, &mut writer).unwrap();
+        assert_eq!(written.events, writer.events.len() as u64);
+        assert!(written.on > 0 && written.on < written.events);
+
+        let mut again = scene::emulate(config).unwrap();
+        let mut expected = Vec::new();
+        while again.read(&mut expected).unwrap() > 0 {}
+        assert_eq!(writer.events, expected);
+
+        writer.events.clear();
+        writer.room = 10;
+        let mut emulator = scene::emulate(config).unwrap();
+        assert!(write_scene(&mut emulator, &mut writer).is_err());
+    }
+
+    #[test]
+    fn report_is_one_json_object_or_a_table() {
+        let mut config = SceneConfig::new(Preset::OutdoorDark, 7);
+        let mut command = parse("outdoor-dark -o x/night.csv --json").unwrap();
+        let written = Written {
+            events: 179_920,
+            on: 89_000,
+        };
+        let text = command.report(&config, written, 0.5);
+        let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+        assert_eq!(value["scene"], "outdoor-dark");
+        assert_eq!(value["off"], 90_920);
+        assert_eq!(value["density_per_px_s"], 2.0);
+        config.duration_us = 0;
+        let none = Written::default();
+        let value: serde_json::Value =
+            serde_json::from_str(&command.report(&config, none, 0.0)).unwrap();
+        assert_eq!(value["density_per_px_s"], 0.0);
+        command.json = false;
+        assert!(command.report(&config, none, 0.0).contains("night.csv"));
+    }
+
+    #[test]
+    fn run_names_what_cannot_be() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("scene.unknown");
+        let line = format!("outdoor-dark -o {}", file.display());
+        let error = parse(&line).unwrap().run().unwrap_err();
+        assert!(format!("{error:#}").contains("scene.unknown"), "{error:#}");
+        assert!(!file.exists());
+        let late = format!("outdoor-dark -o {} --start-us {}", file.display(), u64::MAX);
+        let error = parse(&late).unwrap().run().unwrap_err();
+        assert!(format!("{error:#}").contains("earlier start"), "{error:#}");
+    }
+}
