@@ -1,3 +1,6 @@
 //! Library behind the `eecvs` command.
 
+pub mod cmd;
 pub mod formats;
+pub mod metrics;
+pub mod report;

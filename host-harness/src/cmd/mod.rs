@@ -1,0 +1,3 @@
+//! One file per subcommand, flag help beside it.
+
+pub mod compare;

@@ -1,0 +1,4 @@
+//! Pictures and charts of the reports.
+
+pub mod chart;
+pub mod frame_picture;
