@@ -78,7 +78,7 @@ impl Matcher {
     /// * a time of `many` may be chosen, f(v) = min(f(v), f(v+1)): a slope 0 joins the sorted
     ///   slopes, and `below` gains one entry.
     ///
-    /// The answer is f(0) = f(v_max) - sum of `above`, where v_max chooses nothing.
+    /// The answer is `f(0) = f(v_max) - sum of above`, where `v_max` chooses nothing.
     fn slope_trick(&mut self) -> u128 {
         self.below.clear();
         self.above.clear();

@@ -2,7 +2,7 @@
 
 /// W1 in us of the empirical distributions of two sets of times, each of unit mass.
 ///
-/// W1 = integral of |F_a(t) - F_b(t)| dt, exact in integers up to the last division; equal to
+/// `W1 = integral of |F_a(t) - F_b(t)| dt`, exact in integers up to the last division; equal to
 /// `scipy.stats.wasserstein_distance`. A window of `window_us` that is empty on one side counts
 /// `window_us`, one that is empty on both sides 0. The slices are sorted in place.
 #[must_use]
@@ -62,7 +62,7 @@ mod tests {
         assert_eq!(wasserstein_us(&mut [far], &mut [far - 8], 10), 8.0);
     }
 
-    /// Integral of |F_a - F_b| taken step by step over every microsecond.
+    /// Integral of `|F_a - F_b|` taken step by step over every microsecond.
     fn cdf_integral(a: &[u64], b: &[u64]) -> f64 {
         let below = |times: &[u64], t| {
             times.iter().filter(|other| **other <= t).count() as f64 / times.len() as f64

@@ -1,5 +1,7 @@
 //! An [`EventReader`] over a slice, for tests.
 
+use std::collections::VecDeque;
+
 use anyhow::Result;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
@@ -13,7 +15,7 @@ pub(crate) const SENSOR: Sensor = match Sensor::new(64, 48) {
 
 /// Returns its events `batch` at a time.
 pub(crate) struct MemoryReader {
-    events: std::vec::IntoIter<Event>,
+    events: VecDeque<Event>,
     batch: usize,
     sensor: Sensor,
     skipped: Skipped,
@@ -26,7 +28,7 @@ impl MemoryReader {
 
     pub(crate) fn with_sensor(events: &[Event], batch: usize, sensor: Sensor) -> Self {
         Self {
-            events: events.to_vec().into_iter(),
+            events: events.iter().copied().collect(),
             batch,
             sensor,
             skipped: Skipped::default(),
@@ -44,9 +46,9 @@ impl EventReader for MemoryReader {
     }
 
     fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
-        let before = events.len();
-        events.extend(self.events.by_ref().take(self.batch));
-        Ok(events.len() - before)
+        let count = self.batch.min(self.events.len());
+        events.extend(self.events.drain(..count));
+        Ok(count)
     }
 
     fn skipped(&self) -> &Skipped {

@@ -73,8 +73,9 @@ pub struct Comparison {
 
 /// Compares two recordings in windows of `window_us`.
 ///
-/// Reads each twice: first for the largest |sum| of the frames, then for the metrics. Holds one
-/// window of each recording (with the disorder slack of [`windows`]) and two frames.
+/// Reads each twice: first for the largest |sum| of the frames, then for the metrics. Holds of
+/// each recording the window at work and those that its disorder keeps open (two, where the
+/// window is [`windows::DISORDER_US`] or longer), and one frame.
 /// `progress` is called with the number of events read so far, over both recordings and passes.
 ///
 /// An empty B gives finite numbers: nothing is found, every event of A costs a window.
@@ -123,7 +124,7 @@ pub fn compare(
     let mut pairs = Pairs::new(
         Windower::new(in_a()?, grid, sensor),
         Windower::new(in_b()?, grid, sensor),
-    )?;
+    );
     let ssim = Ssim::new(sensor, peak);
     let mut matcher = Matcher::default();
     let mut sums = Sums::default();

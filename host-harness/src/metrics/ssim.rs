@@ -57,12 +57,9 @@ impl Ssim {
     /// The complement keeps its precision where the frames are nearly equal. Its range is 0 to 2.
     #[must_use]
     pub fn dissimilarity(&self, pixels: &[PixelPair]) -> f64 {
-        if pixels.iter().all(|p| p.a == p.b) {
-            return 0.0;
-        }
-        let bands: Vec<usize> = (self.rows.0..self.rows.1).step_by(TILE_HEIGHT).collect();
         // Collected before they are added: the sum does not depend on the threads' order.
-        let losses: Vec<f64> = bands
+        let losses: Vec<f64> = self
+            .bands_in_reach(pixels)
             .into_par_iter()
             .map(|first| self.band_loss(pixels, first))
             .collect();
@@ -71,16 +68,32 @@ impl Ssim {
         losses.iter().sum::<f64>() / positions
     }
 
+    /// First rows of the bands that see a pixel that differs.
+    fn bands_in_reach(&self, pixels: &[PixelPair]) -> Vec<usize> {
+        let mut bands = Vec::new();
+        let mut next = self.rows.0;
+        for pixel in pixels.iter().filter(|p| p.a != p.b) {
+            let y = usize::from(pixel.y);
+            // Rows come in order: bands that this pixel cannot see are of no use to a later one.
+            if next + TILE_HEIGHT + REACH <= y {
+                let above = y - REACH - self.rows.0;
+                next = self.rows.0 + above / TILE_HEIGHT * TILE_HEIGHT;
+            }
+            while next < self.rows.1 && next <= y + REACH {
+                bands.push(next);
+                next += TILE_HEIGHT;
+            }
+        }
+        bands
+    }
+
     /// Sum of 1 - SSIM over the positions of the rows from `first`, at most [`TILE_HEIGHT`].
     fn band_loss(&self, pixels: &[PixelPair], first: usize) -> f64 {
         let last = self.rows.1.min(first + TILE_HEIGHT);
         let begin = pixels.partition_point(|p| usize::from(p.y) + REACH < first);
         let end = pixels.partition_point(|p| usize::from(p.y) < last + REACH);
         let band = pixels.get(begin..end).unwrap_or_default();
-        if band.iter().all(|p| p.a == p.b) {
-            return 0.0;
-        }
-        let mut rows: Vec<&[PixelPair]> = band.chunk_by(|p, q| p.y == q.y).collect();
+        let mut rows: Vec<_> = band.chunk_by(|p, q| p.y == q.y).collect();
         let mut tile = Tile::new();
         let mut loss = 0.0;
         for left in (self.columns.0..self.columns.1).step_by(TILE_WIDTH) {

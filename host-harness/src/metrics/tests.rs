@@ -18,7 +18,7 @@ fn compare_events(a: &[Event], b: &[Event]) -> Comparison {
     compare_on(a, b, SENSOR, 100).unwrap()
 }
 
-/// The generator of tests/reference_metrics.py.
+/// The generator of `tests/reference_metrics.py`.
 struct Generator(u64);
 
 impl Generator {
@@ -31,7 +31,7 @@ impl Generator {
     }
 }
 
-/// The recordings of tests/reference_metrics.py, line by line.
+/// The recordings of `tests/reference_metrics.py`, line by line.
 fn recordings(seed: u64) -> (Vec<Event>, Vec<Event>) {
     let mut r = Generator(seed);
     let (mut a, mut b) = (Vec::new(), Vec::new());

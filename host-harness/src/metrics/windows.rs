@@ -233,18 +233,14 @@ pub struct Pairs {
 
 impl Pairs {
     /// Pairs the windows of two streams that lie on the same grid.
-    ///
-    /// # Errors
-    /// What the streams report.
-    pub fn new(mut a: Windower, mut b: Windower) -> Result<Self> {
-        let next_a = a.next_window().context("recording A")?;
-        let next_b = b.next_window().context("recording B")?;
-        Ok(Self {
+    #[must_use]
+    pub fn new(a: Windower, b: Windower) -> Self {
+        Self {
             a,
             b,
-            next_a,
-            next_b,
-        })
+            next_a: None,
+            next_b: None,
+        }
     }
 
     /// The next window that holds events on either side; `None` at the end of both.
@@ -252,24 +248,22 @@ impl Pairs {
     /// # Errors
     /// What the streams report.
     pub fn next_pair(&mut self) -> Result<Option<WindowPair>> {
-        let index_a = self.next_a.as_ref().map(|w| w.index);
-        let index_b = self.next_b.as_ref().map(|w| w.index);
-        let Some(index) = index_a.into_iter().chain(index_b).min() else {
+        if self.next_a.is_none() {
+            self.next_a = self.a.next_window().context("recording A")?;
+        }
+        if self.next_b.is_none() {
+            self.next_b = self.b.next_window().context("recording B")?;
+        }
+        let next = [&self.next_a, &self.next_b];
+        let Some(index) = next.into_iter().flatten().map(|w| w.index).min() else {
             return Ok(None);
         };
-        let mut pair = WindowPair {
+        let take = |next: &mut Option<Window>| next.take_if(|w| w.index == index);
+        Ok(Some(WindowPair {
             index,
-            ..WindowPair::default()
-        };
-        if index_a == Some(index) {
-            let next = self.a.next_window().context("recording A")?;
-            pair.a = std::mem::replace(&mut self.next_a, next).map_or_else(Vec::new, |w| w.events);
-        }
-        if index_b == Some(index) {
-            let next = self.b.next_window().context("recording B")?;
-            pair.b = std::mem::replace(&mut self.next_b, next).map_or_else(Vec::new, |w| w.events);
-        }
-        Ok(Some(pair))
+            a: take(&mut self.next_a).map_or_else(Vec::new, |w| w.events),
+            b: take(&mut self.next_b).map_or_else(Vec::new, |w| w.events),
+        }))
     }
 
     /// Stream A, for its counts.

@@ -2,3 +2,4 @@
 
 pub mod chart;
 pub mod frame_picture;
+pub mod picture;
