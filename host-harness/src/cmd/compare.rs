@@ -1,0 +1,191 @@
+//! `eecvs compare`: distortion between two recordings.
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use eecvs_nostd::Sensor;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::formats;
+use crate::metrics::{self, Comparison};
+
+/// Compare recording B with recording A: frames, event times and events
+///
+/// Windows are A's: half-open, consecutive, aligned to A's first event.
+#[derive(Debug, Clone, clap::Args)]
+pub struct Compare {
+    /// The original recording
+    a: PathBuf,
+    /// The recording to judge, e.g. the decoded one
+    b: PathBuf,
+    /// Window length in microseconds
+    #[arg(long, value_name = "T", default_value_t = 32_768,
+          value_parser = clap::value_parser!(u64).range(1..))]
+    window_us: u64,
+    /// Sensor width, for files that do not name it
+    #[arg(long, value_name = "W", requires = "height",
+          value_parser = clap::value_parser!(u16).range(1..=i64::from(Sensor::SIDE_MAX)))]
+    width: Option<u16>,
+    /// Sensor height, for files that do not name it
+    #[arg(long, value_name = "H", requires = "width",
+          value_parser = clap::value_parser!(u16).range(1..=i64::from(Sensor::SIDE_MAX)))]
+    height: Option<u16>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+impl Compare {
+    /// Compares and prints the result on stdout.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, or what [`metrics::compare`] refuses.
+    pub fn run(self) -> Result<()> {
+        let size = match (self.width, self.height) {
+            (Some(width), Some(height)) => Sensor::new(width, height),
+            _ => None,
+        };
+        let mut progress = LateBar::new();
+        let comparison = metrics::compare(
+            &|| formats::open(&self.a, size),
+            &|| formats::open(&self.b, size),
+            self.window_us,
+            &mut |events| progress.set(events),
+        );
+        progress.clear();
+        let comparison = comparison
+            .with_context(|| format!("{} against {}", self.a.display(), self.b.display()))?;
+        for (late, path) in [(comparison.late_a, &self.a), (comparison.late_b, &self.b)] {
+            if late > 0 {
+                eprintln!(
+                    "{}: {late} events are too far out of time order to be placed; they count as \
+                     unmatched",
+                    path.display()
+                );
+            }
+        }
+        if self.json {
+            println!("{}", serde_json::to_string(&comparison)?);
+        } else {
+            print!("{}", table(&comparison));
+        }
+        Ok(())
+    }
+}
+
+/// One line per metric: name, value, unit.
+fn table(c: &Comparison) -> String {
+    // Rounded down: 1.000000 stands for nothing less.
+    let floor = |share: f64| format!("{:.6}", (share * 1e6).floor() / 1e6);
+    let rows = [
+        ("events_a", c.events_a.to_string(), ""),
+        ("events_b", c.events_b.to_string(), ""),
+        ("exact_fraction", floor(c.exact_fraction), ""),
+        ("mse", format!("{:.3e}", c.mse), ""),
+        ("ssim", floor(c.ssim), ""),
+        ("emd_time_ms", format!("{:.6}", c.emd_time_ms), "ms"),
+        ("emd_pixel_us", format!("{:.3}", c.emd_pixel_us), "us"),
+    ];
+    let width = rows.iter().map(|row| row.1.len()).max().unwrap_or(0);
+    rows.iter()
+        .map(|(name, value, unit)| {
+            let line = format!("{name:<14}  {value:>width$} {unit}");
+            format!("{}\n", line.trim_end())
+        })
+        .collect()
+}
+
+/// A progress bar that shows itself on a terminal once the work has taken a second.
+struct LateBar {
+    start: Instant,
+    terminal: bool,
+    bar: Option<ProgressBar>,
+}
+
+impl LateBar {
+    fn new() -> Self {
+        Self {
+            start: Instant::now(),
+            terminal: std::io::stderr().is_terminal(),
+            bar: None,
+        }
+    }
+
+    fn set(&mut self, events: u64) {
+        if self.terminal && self.start.elapsed() > Duration::from_secs(1) {
+            self.bar
+                .get_or_insert_with(|| {
+                    // The number of events is not known before they have been read.
+                    let style = ProgressStyle::with_template(
+                        "{spinner} comparing: {human_pos} events read, {per_sec}",
+                    );
+                    let bar = ProgressBar::new_spinner();
+                    style.map_or(bar.clone(), |style| bar.with_style(style))
+                })
+                .set_position(events);
+        }
+    }
+
+    fn clear(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERFECT: Comparison = Comparison {
+        events_a: 1000,
+        events_b: 7,
+        exact_fraction: 1.0,
+        mse: 0.0,
+        ssim: 1.0,
+        emd_time_ms: 0.0,
+        emd_pixel_us: 12.5,
+        late_a: 3,
+        late_b: 0,
+    };
+
+    #[test]
+    fn the_json_object_has_the_documented_keys() {
+        let json = serde_json::to_string(&PERFECT).unwrap();
+        assert_eq!(
+            json,
+            r#"{"events_a":1000,"events_b":7,"exact_fraction":1.0,"mse":0.0,"ssim":1.0,"emd_time_ms":0.0,"emd_pixel_us":12.5}"#
+        );
+    }
+
+    #[test]
+    fn the_table_is_aligned() {
+        let table = table(&PERFECT);
+        let lines: Vec<_> = table.lines().collect();
+        assert_eq!(lines[0], "events_a            1000");
+        assert_eq!(lines[2], "exact_fraction  1.000000");
+        assert_eq!(lines[6], "emd_pixel_us      12.500 us");
+    }
+
+    #[test]
+    fn usage_is_checked() {
+        #[derive(clap::Parser)]
+        struct Command {
+            #[command(flatten)]
+            compare: Compare,
+        }
+        use clap::Parser;
+        let parse = |args: &str| Command::try_parse_from(args.split(' '));
+        assert_eq!(parse("x a b").unwrap().compare.window_us, 32_768);
+        for wrong in [
+            "x a",
+            "x a b --window-us 0",
+            "x a b --width 9",
+            "x a b --width 0 --height 9",
+        ] {
+            assert!(parse(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,5 @@
+//! Pictures and charts of the reports.
+
+pub mod chart;
+pub mod frame_picture;
+pub mod picture;
