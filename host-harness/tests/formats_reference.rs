@@ -83,3 +83,14 @@ fn aedat2() {
         assert!(info.skipped["APS and IMU words"] > 0);
     }
 }
+
+#[test]
+fn aedat4() {
+    if let Some(info) = check("davis346_static_sparse", "davis346.aedat4", "aedat4") {
+        for kind in ["frames", "IMU samples", "triggers"] {
+            assert!(info.skipped[kind] > 0, "{kind}");
+        }
+    }
+    check("davis346_building_dense", "davis.aedat4", "aedat4");
+    check("dvxl_person_moderate", "data_sample.aedat4", "aedat4");
+}

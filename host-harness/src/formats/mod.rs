@@ -4,8 +4,11 @@
 //! Detection goes by content; the extension decides only where a recording is written.
 
 pub mod aedat2;
+pub mod aedat4;
+mod aedat4_writer;
 pub mod evt2;
 pub mod evt3;
+mod flatbuffer;
 pub mod input;
 pub mod raw_header;
 mod wrapping;
@@ -18,6 +21,8 @@ use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
 use aedat2::{Aedat2Reader, Aedat2Writer};
+use aedat4::Aedat4Reader;
+pub use aedat4_writer::Aedat4Writer;
 use evt2::{Evt2Reader, Evt2Writer};
 use evt3::{Evt3Reader, Evt3Writer};
 use input::{Input, ReadSeek};
@@ -126,6 +131,13 @@ pub fn open_source(
     if begins(aedat2::MAGIC) {
         return Ok(Box::new(Aedat2Reader::new(input.into_source(), name)?));
     }
+    if begins(aedat4::MAGIC) {
+        return Ok(Box::new(Aedat4Reader::new(
+            input.into_source(),
+            name,
+            size,
+        )?));
+    }
     if begins(b"#!AER-DAT") {
         anyhow::bail!("{name}: byte 0: only AEDAT 2.0 and 4.0 are known: convert it with DV");
     }
@@ -156,6 +168,9 @@ pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter
         .to_string_lossy()
         .to_ascii_lowercase();
     let is = |extension: &str| name.ends_with(extension);
+    if is(".aedat4") {
+        return Ok(Box::new(Aedat4Writer::create(path, sensor)?));
+    }
     if is(".aedat") {
         return Ok(Box::new(Aedat2Writer::create(path, sensor)?));
     }
