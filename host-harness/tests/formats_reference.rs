@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use host_harness::recording_info::{RecordingInfo, info};
 use serde_json::Value;
+use sha2::{Digest, Sha256};
 
 const SHARED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data");
 
@@ -93,4 +94,41 @@ fn aedat4() {
     }
     check("davis346_building_dense", "davis.aedat4", "aedat4");
     check("dvxl_person_moderate", "data_sample.aedat4", "aedat4");
+}
+
+#[test]
+fn csv() {
+    check("es_csv_1ms_grid", "dvs.csv", "text");
+}
+
+/// A derived file holds the same events from its own time base on, and tells no sensor size.
+fn check_derived(file: &str, format: &str) {
+    let Some(reference) = reference() else { return };
+    let want = entry(&reference, "davis346_building_dense");
+    let path = Path::new(SHARED).join("derived_layouts").join(file);
+    let info = recording_info(&path);
+    assert_eq!(info.format, format);
+    check_counts(&info, want);
+    let first = want["t_first_us"].as_u64().expect("a time");
+    assert_eq!(info.t_first_us, Some(0));
+    // The hash of the same columns with the original's time base added back.
+    let mut reader = host_harness::formats::open(&path, None).expect("a readable recording");
+    let (mut t, mut x, mut y, mut p) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut events = Vec::new();
+    while reader.read(&mut events).expect("a whole recording") > 0 {
+        for event in events.drain(..) {
+            t.extend_from_slice(&(event.t_us + first).to_le_bytes());
+            x.extend_from_slice(&event.x.to_le_bytes());
+            y.extend_from_slice(&event.y.to_le_bytes());
+            p.push(event.polarity as u8);
+        }
+    }
+    let hash = Sha256::digest([t, x, y, p].concat());
+    let hash: String = hash.iter().map(|byte| format!("{byte:02x}")).collect();
+    assert_eq!(want["sha256_events"], hash);
+}
+
+#[test]
+fn derived_text() {
+    check_derived("davis346_building_txyp.txt", "text");
 }

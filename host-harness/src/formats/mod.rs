@@ -6,11 +6,15 @@
 pub mod aedat2;
 pub mod aedat4;
 mod aedat4_writer;
+mod decimal;
 pub mod evt2;
 pub mod evt3;
 mod flatbuffer;
 pub mod input;
 pub mod raw_header;
+pub mod text;
+pub mod text_layout;
+mod time_unit;
 mod wrapping;
 
 use std::fs::File;
@@ -27,6 +31,7 @@ use evt2::{Evt2Reader, Evt2Writer};
 use evt3::{Evt3Reader, Evt3Writer};
 use input::{Input, ReadSeek};
 use raw_header::{RawHeader, Words};
+use text::{TextReader, TextWriter};
 
 /// Events of one call of [`EventReader::read`], at the most (a reader may return fewer).
 pub const BATCH_EVENTS: usize = 1 << 14;
@@ -151,8 +156,11 @@ pub fn open_source(
             Err(other) if !other.is_empty() => {
                 anyhow::bail!("{name}: byte 0: {other} is not known: record EVT2 or EVT3")
             }
-            Err(_) => {}
+            Err(_) => return Ok(Box::new(TextReader::new(source, name, size)?)),
         }
+    }
+    if is_text(&start) {
+        return Ok(Box::new(TextReader::new(input.into_source(), name, size)?));
     }
     anyhow::bail!("{name}: byte 0: not a recording of a known format ({READABLE})")
 }
@@ -180,10 +188,20 @@ pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter
     if is(".raw") {
         return Ok(Box::new(Evt3Writer::create(path, sensor)?));
     }
+    if is(".csv") || is(".txt") {
+        return Ok(Box::new(TextWriter::create(path, sensor)?));
+    }
     anyhow::bail!(
         "{}: no format has this extension: use {WRITABLE}",
         path.display()
     )
+}
+
+/// Whether a file's first bytes may be lines of events: no control characters but separators.
+fn is_text(start: &[u8]) -> bool {
+    !start
+        .iter()
+        .any(|byte| byte.is_ascii_control() && !b"\t\r\n".contains(byte))
 }
 
 /// Opens `path` for writing; also returns its name for messages.
