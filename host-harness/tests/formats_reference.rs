@@ -132,3 +132,8 @@ fn check_derived(file: &str, format: &str) {
 fn derived_text() {
     check_derived("davis346_building_txyp.txt", "text");
 }
+
+#[test]
+fn derived_npz() {
+    check_derived("davis346_building_xytp.npz", "npz");
+}

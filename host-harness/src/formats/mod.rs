@@ -11,11 +11,15 @@ pub mod evt2;
 pub mod evt3;
 mod flatbuffer;
 pub mod input;
+mod npy_header;
+pub mod npz;
+mod npz_writer;
 pub mod raw_header;
 pub mod text;
 pub mod text_layout;
 mod time_unit;
 mod wrapping;
+mod zip_entry;
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -30,6 +34,8 @@ pub use aedat4_writer::Aedat4Writer;
 use evt2::{Evt2Reader, Evt2Writer};
 use evt3::{Evt3Reader, Evt3Writer};
 use input::{Input, ReadSeek};
+use npz::NpzReader;
+pub use npz_writer::NpzWriter;
 use raw_header::{RawHeader, Words};
 use text::{TextReader, TextWriter};
 
@@ -146,6 +152,9 @@ pub fn open_source(
     if begins(b"#!AER-DAT") {
         anyhow::bail!("{name}: byte 0: only AEDAT 2.0 and 4.0 are known: convert it with DV");
     }
+    if begins(npz::MAGIC) {
+        return Ok(Box::new(NpzReader::new(input.into_source(), name, size)?));
+    }
     if begins(b"%") {
         input.seek(0)?;
         let words = RawHeader::read(&mut input)?.words;
@@ -190,6 +199,9 @@ pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter
     }
     if is(".csv") || is(".txt") {
         return Ok(Box::new(TextWriter::create(path, sensor)?));
+    }
+    if is(".npz") {
+        return Ok(Box::new(NpzWriter::create(path, sensor)?));
     }
     anyhow::bail!(
         "{}: no format has this extension: use {WRITABLE}",
