@@ -2,6 +2,7 @@
 
 pub mod calibrate;
 pub mod cmd;
+pub mod convert;
 pub mod decode;
 pub mod encode;
 pub mod exact_density;
@@ -11,6 +12,7 @@ pub mod metrics;
 pub mod npy;
 pub mod progress;
 pub mod reconstruct;
+pub mod recording_info;
 pub mod reference;
 pub mod report;
 pub mod scene;

@@ -1,0 +1,210 @@
+//! Prophesee RAW with EVT 2.0 words: 32 bits, little-endian, the type in the upper four.
+//!
+//! | type | bits 27..0 |
+//! |---|---|
+//! | 0 CD_OFF, 1 CD_ON | 27..22 time bits 5..0, 21..11 x, 10..0 y |
+//! | 8 TIME_HIGH | time bits 33..6 |
+//! | A EXT_TRIGGER, E OTHERS, F CONTINUED | skipped and counted |
+//!
+//! The 34 bits of time wrap after 4.8 hours; the wraps are carried. An event before the first
+//! TIME_HIGH has no time: it is counted and skipped. There is no maintained crate for EVT 2.0.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use anyhow::Context;
+use eecvs_nostd::{Event, Polarity, Sensor};
+
+use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
+use super::raw_header::{self, RawHeader};
+use super::wrapping::Wrapping;
+use super::{EventWriter, Skipped, create_file};
+
+const TIME_HIGH: u32 = 0x8;
+const TIME_HIGH_BITS: u32 = 28;
+const TIME_LOW_BITS: u32 = 6;
+
+/// Reader of EVT 2.0 files.
+pub type Evt2Reader = Reader<Evt2Decoder>;
+
+impl Evt2Reader {
+    /// Reads `source`, which messages call `name`; `size` counts where the header names no size.
+    ///
+    /// # Errors
+    /// No EVT 2.0 header, no sensor size.
+    pub fn new(
+        source: Box<dyn ReadSeek>,
+        name: &str,
+        size: Option<Sensor>,
+    ) -> anyhow::Result<Self> {
+        let mut input = Input::new(source, name)?;
+        let header = RawHeader::read(&mut input)?;
+        if header.words != Ok(raw_header::Words::Evt2) {
+            return Err(input.error_at(0, "no EVT 2.0 header (% evt 2.0)"));
+        }
+        let sensor = header.sensor_or(size, &input)?;
+        Ok(Self::around(Evt2Decoder {
+            input,
+            words: Words::new(),
+            sensor,
+            camera: header.camera,
+            high: Wrapping::new(TIME_HIGH_BITS, header.time_base_us >> TIME_LOW_BITS),
+            time_us: None,
+            events: 0,
+            skipped: Skipped::default(),
+        }))
+    }
+}
+
+/// State between two words.
+pub struct Evt2Decoder {
+    input: Input,
+    words: Words<4>,
+    sensor: Sensor,
+    camera: Option<String>,
+    high: Wrapping,
+    /// Time without its low bits; `None` before the first TIME_HIGH.
+    time_us: Option<u64>,
+    events: u64,
+    skipped: Skipped,
+}
+
+impl Decode for Evt2Decoder {
+    fn format(&self) -> &'static str {
+        "evt2"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.camera.as_deref()
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        while batch.room() > 0 {
+            let Some(word) = self.words.next(&mut self.input)? else {
+                break;
+            };
+            let word = u32::from_le_bytes(word);
+            match word >> 28 {
+                kind @ (0 | 1) => {
+                    let (x, y) = ((word >> 11 & 0x7ff) as u16, (word & 0x7ff) as u16);
+                    let Some(high_us) = self.time_us else {
+                        self.skipped.add("events before the first time", 1);
+                        continue;
+                    };
+                    if !self.sensor.contains(x, y) {
+                        let offset = self.words.offset(&self.input);
+                        let (x, y) = (i64::from(x), i64::from(y));
+                        return Err(self.input.outside(offset, self.events, x, y, self.sensor));
+                    }
+                    self.events += 1;
+                    batch.push(Event {
+                        t_us: high_us | u64::from(word >> 22 & 0x3f),
+                        x,
+                        y,
+                        polarity: Polarity::from_bool(kind == 1),
+                    });
+                }
+                TIME_HIGH => {
+                    let high = self.high.extend(u64::from(word & 0x0fff_ffff));
+                    self.time_us = Some(high << TIME_LOW_BITS);
+                }
+                0xa => self.skipped.add("triggers", 1),
+                0xe => self.skipped.add("other words", 1),
+                0xf => self.skipped.add("continued words", 1),
+                _ => self.skipped.add("unknown words", 1),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writer of EVT 2.0 files.
+///
+/// Holds any times up to 2^60 us (the header's `% time_base_us` carries what exceeds 34 bits),
+/// in any order as long as a reader can follow the wraps.
+pub struct Evt2Writer {
+    file: BufWriter<File>,
+    name: String,
+    sensor: Sensor,
+    /// `None` until the first event: the header needs its time.
+    high: Option<Wrapping>,
+    events: u64,
+}
+
+impl Evt2Writer {
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
+        let (file, name) = create_file(path)?;
+        Ok(Self {
+            file,
+            name,
+            sensor,
+            high: None,
+            events: 0,
+        })
+    }
+
+    fn header(&mut self, first_us: u64) -> anyhow::Result<Wrapping> {
+        let high = Wrapping::new(TIME_HIGH_BITS, first_us >> TIME_LOW_BITS);
+        let base_us = high.base() << TIME_LOW_BITS;
+        let text = RawHeader::text(raw_header::Words::Evt2, self.sensor, base_us);
+        self.put(text.as_bytes())?;
+        Ok(high)
+    }
+
+    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
+        self.file
+            .write_all(bytes)
+            .with_context(|| format!("{}: cannot be written", self.name))
+    }
+}
+
+impl EventWriter for Evt2Writer {
+    fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
+        for event in events {
+            super::check_inside(&self.name, self.events, event, self.sensor)?;
+            let mut high = match self.high.take() {
+                Some(high) => high,
+                None => self.header(event.t_us)?,
+            };
+            let target = event.t_us >> TIME_LOW_BITS;
+            while high.last() != Some(target) {
+                let next = high.step(target).with_context(|| {
+                    super::time_refused(&self.name, self.events, event.t_us, "EVT 2.0")
+                })?;
+                // Below 2^28.
+                let low = high.low(next) as u32;
+                self.put(&(TIME_HIGH << 28 | low).to_le_bytes())?;
+            }
+            self.high = Some(high);
+            let word = u32::from(event.polarity == Polarity::On) << 28
+                | ((event.t_us & 0x3f) as u32) << 22
+                | u32::from(event.x) << 11
+                | u32::from(event.y);
+            self.put(&word.to_le_bytes())?;
+            self.events += 1;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
+        if self.events == 0 {
+            self.header(0)?;
+        }
+        self.file
+            .flush()
+            .with_context(|| format!("{}: cannot be written", self.name))
+    }
+}

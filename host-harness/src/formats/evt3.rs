@@ -1,0 +1,342 @@
+//! Prophesee RAW with EVT 3.0 words: 16 bits, little-endian, the type in the upper four.
+//!
+//! | type | bits 11..0 |
+//! |---|---|
+//! | 0 ADDR_Y | 10..0 y |
+//! | 2 ADDR_X | 11 polarity, 10..0 x: one event |
+//! | 3 VECT_BASE_X | 11 polarity, 10..0 first x of the vectors that follow |
+//! | 4 VECT_12, 5 VECT_8 | bit i: an event at x + i; then x advances by 12 or 8 |
+//! | 6 TIME_LOW, 8 TIME_HIGH | time bits 11..0, 23..12 |
+//! | A EXT_TRIGGER, 7 and F CONTINUED, E OTHERS | skipped and counted |
+//!
+//! TIME_HIGH alone carries the overflow: a TIME_LOW may step back by a few microseconds after a
+//! TIME_HIGH, and taking that for a wrap stretches a recording. A new TIME_HIGH value sets the
+//! low bits to 0 until TIME_LOW follows; a repeated one keeps them. The 24 bits of time wrap
+//! every 16.8 s; the wraps are carried. Events before the first TIME_HIGH have no time, those
+//! before the first ADDR_Y no row, vectors before the first VECT_BASE_X no column: they are
+//! counted and skipped.
+//!
+//! The crate `evt3` decodes the shared recordings alike, but its column counter overflows
+//! (a panic in debug builds) on a long run of vectors, it gives no offsets, and it drops unknown
+//! words and events without a time uncounted; so this is our own decoder and `evt3` is its peer
+//! in the tests.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use anyhow::Context;
+use eecvs_nostd::{Event, Polarity, Sensor};
+
+use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
+use super::raw_header::{self, RawHeader};
+use super::wrapping::Wrapping;
+use super::{EventWriter, Skipped, create_file};
+
+const ADDR_Y: u16 = 0x0;
+const ADDR_X: u16 = 0x2;
+const VECT_BASE_X: u16 = 0x3;
+const VECT_12: u16 = 0x4;
+const VECT_8: u16 = 0x5;
+const TIME_LOW: u16 = 0x6;
+const TIME_HIGH: u16 = 0x8;
+const TIME_BITS: u32 = 12;
+
+/// Events that one word can hold.
+const VECTOR_EVENTS: usize = 12;
+
+/// Reader of EVT 3.0 files.
+pub type Evt3Reader = Reader<Evt3Decoder>;
+
+impl Evt3Reader {
+    /// Reads `source`, which messages call `name`; `size` counts where the header names no size.
+    ///
+    /// # Errors
+    /// No EVT 3.0 header, no sensor size.
+    pub fn new(
+        source: Box<dyn ReadSeek>,
+        name: &str,
+        size: Option<Sensor>,
+    ) -> anyhow::Result<Self> {
+        let mut input = Input::new(source, name)?;
+        let header = RawHeader::read(&mut input)?;
+        if header.words != Ok(raw_header::Words::Evt3) {
+            return Err(input.error_at(0, "no EVT 3.0 header (% evt 3.0)"));
+        }
+        let sensor = header.sensor_or(size, &input)?;
+        Ok(Self::around(Evt3Decoder {
+            input,
+            words: Words::new(),
+            sensor,
+            camera: header.camera,
+            high: Wrapping::new(TIME_BITS, header.time_base_us >> TIME_BITS),
+            low: 0,
+            y: None,
+            base: None,
+            events: 0,
+            skipped: Skipped::default(),
+        }))
+    }
+}
+
+/// State between two words.
+pub struct Evt3Decoder {
+    input: Input,
+    words: Words<2>,
+    sensor: Sensor,
+    camera: Option<String>,
+    /// Time bits 12 and up; without a value before the first TIME_HIGH.
+    high: Wrapping,
+    low: u16,
+    y: Option<u16>,
+    /// First x of the next vector and its polarity. x may run past the sensor, where a vector
+    /// must be empty.
+    base: Option<(u32, Polarity)>,
+    events: u64,
+    skipped: Skipped,
+}
+
+impl Evt3Decoder {
+    /// Emits the events at `x + i` for every bit i of `bits`.
+    fn emit(
+        &mut self,
+        x: u32,
+        bits: u16,
+        polarity: Polarity,
+        batch: &mut Batch<'_>,
+    ) -> anyhow::Result<()> {
+        let (high, y) = match (self.high.last(), self.y) {
+            (Some(high), Some(y)) => (high, y),
+            (None, _) => {
+                self.skipped
+                    .add("events before the first time", u64::from(bits.count_ones()));
+                return Ok(());
+            }
+            (_, None) => {
+                self.skipped
+                    .add("events before the first row", u64::from(bits.count_ones()));
+                return Ok(());
+            }
+        };
+        let t_us = high << TIME_BITS | u64::from(self.low);
+        let mut left = bits;
+        while left != 0 {
+            let x = x + left.trailing_zeros();
+            left &= left - 1;
+            match u16::try_from(x) {
+                Ok(x) if self.sensor.contains(x, y) => {
+                    batch.push(Event {
+                        t_us,
+                        x,
+                        y,
+                        polarity,
+                    });
+                }
+                _ => {
+                    let offset = self.words.offset(&self.input);
+                    let (x, y) = (i64::from(x), i64::from(y));
+                    return Err(self.input.outside(offset, self.events, x, y, self.sensor));
+                }
+            }
+            self.events += 1;
+        }
+        Ok(())
+    }
+
+    fn vector(&mut self, bits: u16, width: u32, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        let Some((x, polarity)) = self.base else {
+            self.skipped.add(
+                "events before the first column",
+                u64::from(bits.count_ones()),
+            );
+            return Ok(());
+        };
+        self.base = Some((x.saturating_add(width), polarity));
+        self.emit(x, bits, polarity, batch)
+    }
+}
+
+impl Decode for Evt3Decoder {
+    fn format(&self) -> &'static str {
+        "evt3"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.camera.as_deref()
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        while batch.room() >= VECTOR_EVENTS {
+            let Some(word) = self.words.next(&mut self.input)? else {
+                break;
+            };
+            let word = u16::from_le_bytes(word);
+            let (value, coordinate) = (word & 0xfff, word & 0x7ff);
+            let polarity = Polarity::from_bool(word & 0x800 != 0);
+            match word >> 12 {
+                ADDR_X => self.emit(u32::from(coordinate), 1, polarity, batch)?,
+                ADDR_Y => self.y = Some(coordinate),
+                TIME_LOW => self.low = value,
+                TIME_HIGH => {
+                    let previous = self.high.last();
+                    if Some(self.high.extend(u64::from(value))) != previous {
+                        self.low = 0;
+                    }
+                }
+                VECT_BASE_X => self.base = Some((u32::from(coordinate), polarity)),
+                VECT_12 => self.vector(value, 12, batch)?,
+                VECT_8 => self.vector(value & 0xff, 8, batch)?,
+                0xa => self.skipped.add("triggers", 1),
+                0x7 | 0xf => self.skipped.add("continued words", 1),
+                0xe => self.skipped.add("other words", 1),
+                _ => self.skipped.add("unknown words", 1),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writer of EVT 3.0 files; runs of three and more events in one row become vectors.
+///
+/// Holds any times up to 2^60 us (the header's `% time_base_us` carries what exceeds 24 bits),
+/// in any order as long as a reader can follow the wraps.
+pub struct Evt3Writer {
+    file: BufWriter<File>,
+    name: String,
+    sensor: Sensor,
+    /// `None` until the first event: the header needs its time.
+    high: Option<Wrapping>,
+    low: u16,
+    y: Option<u16>,
+    events: u64,
+}
+
+impl Evt3Writer {
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
+        let (file, name) = create_file(path)?;
+        Ok(Self {
+            file,
+            name,
+            sensor,
+            high: None,
+            low: 0,
+            y: None,
+            events: 0,
+        })
+    }
+
+    fn header(&mut self, first_us: u64) -> anyhow::Result<Wrapping> {
+        let high = Wrapping::new(TIME_BITS, first_us >> TIME_BITS);
+        let base_us = high.base() << TIME_BITS;
+        let text = RawHeader::text(raw_header::Words::Evt3, self.sensor, base_us);
+        self.put(text.as_bytes())?;
+        Ok(high)
+    }
+
+    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
+        self.file
+            .write_all(bytes)
+            .with_context(|| format!("{}: cannot be written", self.name))
+    }
+
+    fn word(&mut self, kind: u16, value: u16) -> anyhow::Result<()> {
+        self.put(&(kind << 12 | value).to_le_bytes())
+    }
+
+    /// Writes what makes a reader's time `t_us`.
+    fn time(&mut self, t_us: u64) -> anyhow::Result<()> {
+        let mut high = match self.high.take() {
+            Some(high) => high,
+            None => self.header(t_us)?,
+        };
+        let target = t_us >> TIME_BITS;
+        // Below 2^12.
+        let low = (t_us & 0xfff) as u16;
+        let new_high = high.last() != Some(target);
+        while high.last() != Some(target) {
+            let next = high
+                .step(target)
+                .with_context(|| super::time_refused(&self.name, self.events, t_us, "EVT 3.0"))?;
+            self.word(TIME_HIGH, high.low(next) as u16)?;
+        }
+        self.high = Some(high);
+        // Decoders differ in the low bits that follow a new TIME_HIGH: always say them.
+        if new_high || low != self.low {
+            self.word(TIME_LOW, low)?;
+            self.low = low;
+        }
+        Ok(())
+    }
+}
+
+impl EventWriter for Evt3Writer {
+    fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
+        let mut rest = events;
+        while let Some(first) = rest.first() {
+            let (count, bits) = run(rest);
+            let (now, later) = rest.split_at(count);
+            for (event, index) in now.iter().zip(self.events..) {
+                super::check_inside(&self.name, index, event, self.sensor)?;
+            }
+            self.time(first.t_us)?;
+            if self.y != Some(first.y) {
+                self.word(ADDR_Y, first.y)?;
+                self.y = Some(first.y);
+            }
+            let polarity = u16::from(first.polarity == Polarity::On) << 11;
+            if count >= 3 {
+                self.word(VECT_BASE_X, polarity | first.x)?;
+                self.word(VECT_12, bits)?;
+            } else {
+                for event in now {
+                    self.word(ADDR_X, polarity | event.x)?;
+                }
+            }
+            self.events += count as u64;
+            rest = later;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
+        if self.events == 0 {
+            self.header(0)?;
+        }
+        self.file
+            .flush()
+            .with_context(|| format!("{}: cannot be written", self.name))
+    }
+}
+
+/// Number of events at the start of `events` that one VECT_12 can hold in their order (the same
+/// time, row and polarity, x rising within 12 columns), and the vector's bits.
+fn run(events: &[Event]) -> (usize, u16) {
+    let Some(first) = events.first() else {
+        return (0, 0);
+    };
+    let (mut count, mut bits, mut last) = (1, 1, 0);
+    for event in events.iter().skip(1) {
+        let alike = (event.t_us, event.y, event.polarity) == (first.t_us, first.y, first.polarity);
+        match event.x.checked_sub(first.x) {
+            Some(column) if alike && column > last && column < VECTOR_EVENTS as u16 => {
+                bits |= 1 << column;
+                last = column;
+                count += 1;
+            }
+            _ => break,
+        }
+    }
+    (count, bits)
+}

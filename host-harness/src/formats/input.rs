@@ -1,0 +1,349 @@
+//! Byte source of every reader: a file or memory, its name and its position.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use anyhow::Context;
+use eecvs_nostd::{Event, Sensor};
+
+use super::{BATCH_EVENTS, EventReader, Skipped};
+
+/// What a reader can read from: a file, or bytes in memory (`std::io::Cursor`).
+pub trait ReadSeek: Read + Seek + Send {}
+
+impl<T: Read + Seek + Send> ReadSeek for T {}
+
+/// Bytes read from the source at once.
+const BUFFER_BYTES: usize = 1 << 16;
+
+/// A source with the name and the position that error messages carry.
+pub struct Input {
+    reader: BufReader<Box<dyn ReadSeek>>,
+    name: String,
+    offset: u64,
+    length: u64,
+}
+
+impl Input {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// The file cannot be opened.
+    pub fn open(path: &Path) -> anyhow::Result<Self> {
+        let name = path.display().to_string();
+        let file = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
+        let directory = file.metadata().is_ok_and(|metadata| metadata.is_dir());
+        anyhow::ensure!(!directory, "{name}: is a directory, not a recording");
+        Self::new(Box::new(file), &name)
+    }
+
+    /// Reads from `source`, which error messages call `name`.
+    ///
+    /// # Errors
+    /// The source cannot be sought.
+    pub fn new(mut source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<Self> {
+        let seek = |source: &mut Box<dyn ReadSeek>, to| {
+            let context = || format!("{name}: cannot be sought; pipes are not supported");
+            source.seek(to).with_context(context)
+        };
+        let length = seek(&mut source, SeekFrom::End(0))?;
+        seek(&mut source, SeekFrom::Start(0))?;
+        Ok(Self {
+            reader: BufReader::with_capacity(BUFFER_BYTES, source),
+            name: name.to_owned(),
+            offset: 0,
+            length,
+        })
+    }
+
+    /// Gives the source back, at any position.
+    #[must_use]
+    pub fn into_source(self) -> Box<dyn ReadSeek> {
+        self.reader.into_inner()
+    }
+
+    /// Name for messages.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Position of the next byte.
+    #[must_use]
+    pub fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// Bytes from the start to the end.
+    #[must_use]
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// Continues at byte `offset`.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn seek(&mut self, offset: u64) -> anyhow::Result<()> {
+        let moved = match i64::try_from(offset as i128 - self.offset as i128) {
+            Ok(distance) => self.reader.seek_relative(distance),
+            Err(_) => self.reader.seek(SeekFrom::Start(offset)).map(drop),
+        };
+        moved.with_context(|| format!("{}: byte {offset}: cannot be sought", self.name))?;
+        self.offset = offset;
+        Ok(())
+    }
+
+    /// Fills `bytes`, or as much of it as the source still has; returns how much.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn fill(&mut self, bytes: &mut [u8]) -> anyhow::Result<usize> {
+        let mut filled = 0;
+        while let Some(rest) = bytes.get_mut(filled..).filter(|rest| !rest.is_empty()) {
+            match self.reader.read(rest) {
+                Ok(0) => break,
+                Ok(n) => {
+                    filled += n;
+                    self.offset += n as u64;
+                }
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(self.unreadable(error)),
+            }
+        }
+        Ok(filled)
+    }
+
+    /// Appends the next line with its line feed, at most `cap` bytes, to `line`; returns how many
+    /// bytes (0 at the end).
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn line(&mut self, line: &mut Vec<u8>, cap: usize) -> anyhow::Result<usize> {
+        let read = self
+            .reader
+            .by_ref()
+            .take(cap as u64)
+            .read_until(b'\n', line);
+        let n = read.map_err(|error| self.unreadable(error))?;
+        self.offset += n as u64;
+        Ok(n)
+    }
+
+    /// Error at the present position: name, offset and `what`.
+    pub fn error(&self, what: impl std::fmt::Display) -> anyhow::Error {
+        self.error_at(self.offset, what)
+    }
+
+    /// Error at byte `offset`.
+    pub fn error_at(&self, offset: u64, what: impl std::fmt::Display) -> anyhow::Error {
+        anyhow::anyhow!("{}: byte {offset}: {what}", self.name)
+    }
+
+    fn unreadable(&self, error: std::io::Error) -> anyhow::Error {
+        anyhow::Error::new(error).context(format!(
+            "{}: byte {}: cannot be read",
+            self.name, self.offset
+        ))
+    }
+}
+
+/// The decoder of one format; [`Reader`] turns it into an [`EventReader`].
+pub trait Decode {
+    /// As [`EventReader::format`].
+    fn format(&self) -> &'static str;
+
+    /// As [`EventReader::sensor`].
+    fn sensor(&self) -> Sensor;
+
+    /// As [`EventReader::camera`].
+    fn camera(&self) -> Option<&str> {
+        None
+    }
+
+    /// As [`EventReader::skipped`].
+    fn skipped(&self) -> &Skipped;
+
+    /// Appends events until the batch has no more room.
+    ///
+    /// Appending none means the end. Events appended before an error are valid.
+    ///
+    /// # Errors
+    /// As [`EventReader::read`].
+    fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()>;
+}
+
+/// The events of one call of [`EventReader::read`].
+pub struct Batch<'a> {
+    events: &'a mut Vec<Event>,
+    start: usize,
+}
+
+impl Batch<'_> {
+    /// How many more events fit.
+    #[must_use]
+    pub fn room(&self) -> usize {
+        (self.start + BATCH_EVENTS).saturating_sub(self.events.len())
+    }
+
+    /// Whether no event has been appended yet.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Events appended so far.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.events.len() - self.start
+    }
+
+    /// Appends an event.
+    pub fn push(&mut self, event: Event) {
+        self.events.push(event);
+    }
+}
+
+/// An [`EventReader`] around a decoder: holds an error back until the events before it are out.
+pub struct Reader<D> {
+    pub(super) decoder: D,
+    held: Option<anyhow::Error>,
+    ended: bool,
+}
+
+impl<D: Decode> Reader<D> {
+    pub(super) fn around(decoder: D) -> Self {
+        Self {
+            decoder,
+            held: None,
+            ended: false,
+        }
+    }
+}
+
+impl<D: Decode> EventReader for Reader<D> {
+    fn format(&self) -> &'static str {
+        self.decoder.format()
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.decoder.sensor()
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.decoder.camera()
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> anyhow::Result<usize> {
+        if let Some(error) = self.held.take() {
+            return Err(error);
+        }
+        if self.ended {
+            return Ok(0);
+        }
+        let start = events.len();
+        let mut batch = Batch { events, start };
+        let result = self.decoder.decode(&mut batch);
+        let read = batch.len();
+        self.ended = result.is_err() || read == 0;
+        match result {
+            Err(error) if read == 0 => Err(error),
+            Err(error) => {
+                self.held = Some(error);
+                Ok(read)
+            }
+            Ok(()) => Ok(read),
+        }
+    }
+
+    fn skipped(&self) -> &Skipped {
+        self.decoder.skipped()
+    }
+}
+
+/// Fixed-size words of an [`Input`], read in blocks.
+pub struct Words<const N: usize> {
+    bytes: Vec<u8>,
+    next: usize,
+    filled: usize,
+}
+
+impl<const N: usize> Words<N> {
+    /// No block read yet.
+    #[must_use]
+    pub fn new() -> Self {
+        let whole_words = BUFFER_BYTES - BUFFER_BYTES % N;
+        Self {
+            bytes: vec![0; whole_words],
+            next: 0,
+            filled: 0,
+        }
+    }
+
+    /// The next word, or `None` at the end.
+    ///
+    /// # Errors
+    /// I/O, or bytes after the last whole word. A single line feed is no error: old recorders
+    /// closed files with one.
+    #[inline]
+    pub fn next(&mut self, input: &mut Input) -> anyhow::Result<Option<[u8; N]>> {
+        let rest = self.bytes.get(self.next..self.filled);
+        if let Some(word) = rest.and_then(<[u8]>::first_chunk) {
+            self.next += N;
+            return Ok(Some(*word));
+        }
+        self.refill(input)
+    }
+
+    #[cold]
+    fn refill(&mut self, input: &mut Input) -> anyhow::Result<Option<[u8; N]>> {
+        // A block is only shorter than whole words at the end of the file.
+        let mut rest = self.filled - self.next;
+        let mut first = self.bytes.get(self.next).copied();
+        if rest == 0 {
+            (self.next, self.filled) = (0, input.fill(&mut self.bytes)?);
+            if let Some(word) = self.bytes.get(..self.filled).and_then(<[u8]>::first_chunk) {
+                self.next = N;
+                return Ok(Some(*word));
+            }
+            rest = self.filled;
+            first = self.bytes.first().copied();
+        }
+        (self.next, self.filled) = (0, 0);
+        if rest == 0 || (rest == 1 && first == Some(b'\n')) {
+            return Ok(None);
+        }
+        Err(input.error_at(
+            input.offset() - rest as u64,
+            format!("the file ends within a word of {N} bytes ({rest} are there): truncated"),
+        ))
+    }
+
+    /// Offset of the word that [`Words::next`] returned last.
+    #[must_use]
+    pub fn offset(&self, input: &Input) -> u64 {
+        input.offset() - (self.filled - self.next) as u64 - N as u64
+    }
+}
+
+impl Input {
+    /// Error for event number `index` at byte `offset` that lies outside of the sensor.
+    pub fn outside(
+        &self,
+        offset: u64,
+        index: u64,
+        x: i64,
+        y: i64,
+        sensor: Sensor,
+    ) -> anyhow::Error {
+        let Sensor { width, height } = sensor;
+        self.error_at(
+            offset,
+            format!(
+                "event {index} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): \
+             damaged recording, or a wrong size"
+            ),
+        )
+    }
+}

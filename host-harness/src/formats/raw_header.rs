@@ -1,0 +1,273 @@
+//! Header of Prophesee RAW files: text lines that begin with `% `.
+
+use eecvs_nostd::Sensor;
+
+use super::input::Input;
+use super::wrapping::Wrapping;
+
+/// Longest header line and header; real ones stay below 1 KiB.
+const LINE_MAX: usize = 4096;
+const HEADER_MAX: u64 = 1 << 16;
+
+/// Line of our own writers: microseconds to add to the first time. The words of EVT2 and EVT3
+/// hold 34 and 24 bits of time, so the upper bits of an absolute time would be lost without it.
+const TIME_BASE_KEY: &str = "time_base_us";
+
+/// What the words after the header are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Words {
+    /// 32-bit EVT 2.0.
+    Evt2,
+    /// 16-bit EVT 3.0.
+    Evt3,
+}
+
+/// A parsed header; the input stands at the first word.
+#[derive(Debug, Clone)]
+pub struct RawHeader {
+    /// Word format, from `% evt 3.0` or `% format EVT3;...`, or the name of another one.
+    pub words: Result<Words, String>,
+    /// From `% geometry WxH`, `% format EVT3;height=H;width=W`, `% Width W` and `% Height H`, or
+    /// else from the sensor that `% sensor_generation` or `% plugin_name` name.
+    pub sensor: Option<Sensor>,
+    /// From `% time_base_us`, else 0.
+    pub time_base_us: u64,
+    /// From `% plugin_name`, else from `% integrator_name`.
+    pub camera: Option<String>,
+}
+
+impl RawHeader {
+    /// Reads the header's lines. It ends with `% end` or before the first line that is no text
+    /// after `% `: old files have no `% end`.
+    ///
+    /// # Errors
+    /// I/O, a header over 64 KiB, a size that no [`Sensor`] can have.
+    pub fn read(input: &mut Input) -> anyhow::Result<Self> {
+        let mut fields = Fields::default();
+        let mut line = Vec::new();
+        loop {
+            let start = input.offset();
+            if start > HEADER_MAX {
+                return Err(input.error("the header is longer than 65536 bytes: damaged file"));
+            }
+            line.clear();
+            input.line(&mut line, LINE_MAX)?;
+            let Some(text) = header_text(&line) else {
+                input.seek(start)?;
+                break;
+            };
+            if text == "end" {
+                break;
+            }
+            fields.take(text);
+        }
+        fields.into_header(input)
+    }
+
+    /// Text of a header that [`RawHeader::read`] reads back and other readers accept.
+    pub fn text(words: Words, sensor: Sensor, time_base_us: u64) -> String {
+        let Sensor { width, height } = sensor;
+        let (evt, format) = match words {
+            Words::Evt2 => ("2.0", "EVT2"),
+            Words::Evt3 => ("3.0", "EVT3"),
+        };
+        let mut text = format!(
+            "% evt {evt}\n% format {format};height={height};width={width}\n\
+             % geometry {width}x{height}\n% integrator_name EECVS\n"
+        );
+        if time_base_us > 0 {
+            text += &format!("% {TIME_BASE_KEY} {time_base_us}\n");
+        }
+        text + "% end\n"
+    }
+
+    /// The sensor's size, or `size` where the header tells none.
+    ///
+    /// # Errors
+    /// Neither is known.
+    pub fn sensor_or(&self, size: Option<Sensor>, input: &Input) -> anyhow::Result<Sensor> {
+        self.sensor.or(size).ok_or_else(|| {
+            input.error("the header names no sensor size: give --width W --height H")
+        })
+    }
+}
+
+/// The text after `% ` of a header line, or `None` for anything else.
+fn header_text(line: &[u8]) -> Option<&str> {
+    let text = std::str::from_utf8(line)
+        .ok()?
+        .strip_suffix('\n')?
+        .strip_prefix('%')?
+        .trim_end();
+    let printable = !text.chars().any(|c| c.is_control() && c != '\t');
+    (printable && (text.is_empty() || text.starts_with(' '))).then(|| text.trim_start())
+}
+
+#[derive(Default)]
+struct Fields {
+    evt: Option<String>,
+    format: Option<String>,
+    width: Option<u64>,
+    height: Option<u64>,
+    named: Option<(u64, u64)>,
+    plugin: Option<String>,
+    integrator: Option<String>,
+    time_base_us: u64,
+}
+
+impl Fields {
+    fn take(&mut self, text: &str) {
+        let (key, value) = text.split_once([' ', '\t']).unwrap_or((text, ""));
+        let value = value.trim();
+        match key.to_ascii_lowercase().as_str() {
+            "evt" => self.evt = Some(value.to_owned()),
+            "format" => {
+                let mut parts = value.split(';').map(str::trim);
+                self.format = parts.next().map(str::to_ascii_uppercase);
+                for (key, value) in parts.filter_map(|part| part.split_once('=')) {
+                    self.side(key.trim(), value.trim());
+                }
+            }
+            "geometry" => {
+                if let Some((width, height)) = value.split_once('x') {
+                    self.side("width", width.trim());
+                    self.side("height", height.trim());
+                }
+            }
+            key @ ("width" | "height") => self.side(key, value),
+            "sensor_generation" => {
+                self.named = match value.split('.').next() {
+                    Some("3") => Some((640, 480)),
+                    Some("4") => Some((1280, 720)),
+                    _ => self.named,
+                };
+            }
+            "integrator_name" => self.integrator = Some(value.to_owned()),
+            "plugin_name" => {
+                self.plugin = Some(value.to_owned());
+                let holds = |name| value.contains(name);
+                if holds("gen31") || holds("gen3_") {
+                    self.named = self.named.or(Some((640, 480)));
+                } else if holds("gen4") || holds("imx636") {
+                    self.named = self.named.or(Some((1280, 720)));
+                } else if holds("genx320") {
+                    self.named = self.named.or(Some((320, 320)));
+                }
+            }
+            TIME_BASE_KEY => self.time_base_us = value.parse().unwrap_or(0),
+            _ => {}
+        }
+    }
+
+    fn side(&mut self, key: &str, value: &str) {
+        match key {
+            "width" => self.width = value.parse().ok().or(self.width),
+            "height" => self.height = value.parse().ok().or(self.height),
+            _ => {}
+        }
+    }
+
+    fn into_header(self, input: &Input) -> anyhow::Result<RawHeader> {
+        let words = match (self.evt.as_deref(), self.format.as_deref()) {
+            (_, Some("EVT2")) | (Some("2.0"), None) => Ok(Words::Evt2),
+            (_, Some("EVT3")) | (Some("3.0"), None) => Ok(Words::Evt3),
+            (_, Some(other)) => Err(other.to_owned()),
+            (Some(other), None) => Err(format!("EVT {other}")),
+            (None, None) => Err(String::new()),
+        };
+        let size = self.width.zip(self.height).or(self.named);
+        let side = |side: u64| u16::try_from(side).unwrap_or(0);
+        let sensor = size.map(|(width, height)| {
+            Sensor::new(side(width), side(height)).ok_or_else(|| {
+                let limit = Sensor::SIDE_MAX;
+                input.error(format!(
+                    "the header's sensor size {width}x{height} is not within 1x1 to {limit}x{limit}"
+                ))
+            })
+        });
+        let time_base_us = self.time_base_us;
+        let camera = self.plugin.or(self.integrator);
+        if time_base_us > Wrapping::START_MAX {
+            return Err(input.error(format!("{TIME_BASE_KEY} {time_base_us} is above 2^60")));
+        }
+        Ok(RawHeader {
+            words,
+            sensor: sensor.transpose()?,
+            time_base_us,
+            camera,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+
+    fn parse(bytes: &[u8]) -> (RawHeader, u64) {
+        let mut input = Input::new(Box::new(Cursor::new(bytes.to_vec())), "test").expect("memory");
+        let header = RawHeader::read(&mut input).expect("a header");
+        (header, input.offset())
+    }
+
+    #[test]
+    fn sizes_of_every_style() {
+        let cases: [(&[u8], Words, (u16, u16)); 6] = [
+            (
+                b"% evt 3.0\n% geometry 320x240\n% end\n",
+                Words::Evt3,
+                (320, 240),
+            ),
+            (
+                b"% format EVT3;height=720;width=1280\n% end\n",
+                Words::Evt3,
+                (1280, 720),
+            ),
+            (
+                b"% evt 2.0\n% Width 304\n% Height 240\n",
+                Words::Evt2,
+                (304, 240),
+            ),
+            (
+                b"% evt 2.0\n% plugin_name hal_plugin_gen3_fx3\n",
+                Words::Evt2,
+                (640, 480),
+            ),
+            (
+                b"% evt 3.0\n% sensor_generation 4.2\n",
+                Words::Evt3,
+                (1280, 720),
+            ),
+            (b"% evt 3.0\r\n% geometry 4x5\r\n", Words::Evt3, (4, 5)),
+        ];
+        for (bytes, words, (width, height)) in cases {
+            let (header, offset) = parse(bytes);
+            assert_eq!(header.words, Ok(words));
+            assert_eq!(header.sensor, Sensor::new(width, height));
+            assert_eq!(offset, bytes.len() as u64);
+        }
+    }
+
+    #[test]
+    fn data_that_looks_like_a_header_line_is_data() {
+        let (_, offset) = parse(b"% evt 2.0\n%\x01\x02\x80\n\n");
+        assert_eq!(offset, 10);
+        let (_, offset) = parse(b"% evt 2.0\n% end\n% x\n");
+        assert_eq!(offset, 16);
+    }
+
+    #[test]
+    fn written_text_reads_back() {
+        let sensor = Sensor {
+            width: 346,
+            height: 260,
+        };
+        for words in [Words::Evt2, Words::Evt3] {
+            let (header, _) = parse(RawHeader::text(words, sensor, 1 << 34).as_bytes());
+            assert_eq!(header.words, Ok(words));
+            assert_eq!(header.sensor, Some(sensor));
+            assert_eq!(header.time_base_us, 1 << 34);
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! What `eecvs info` says about a recording.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use crate::formats;
+
+/// Counts, times and hash of a recording; the fields are the keys of `eecvs info --json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RecordingInfo {
+    /// Camera or chip, where the file names it.
+    pub sensor: Option<String>,
+    /// Format name: `aedat4`, `aedat2`, `evt2`, `evt3`, `text`, `npz`, ...
+    pub format: String,
+    /// Columns.
+    pub width: u16,
+    /// Rows.
+    pub height: u16,
+    /// Number of events.
+    pub events: u64,
+    /// Events of polarity On.
+    pub on: u64,
+    /// Events of polarity Off.
+    pub off: u64,
+    /// Smallest time in microseconds; none where there is no event.
+    pub t_first_us: Option<u64>,
+    /// Largest time in microseconds.
+    pub t_last_us: Option<u64>,
+    /// `t_last_us - t_first_us` in seconds.
+    pub duration_s: f64,
+    /// `events / duration_s`; 0 where the duration is 0.
+    pub rate_eps: f64,
+    /// Sum of all x.
+    pub sum_x: u64,
+    /// Sum of all y.
+    pub sum_y: u64,
+    /// SHA-256 over the columns t (int64), x, y (uint16), p (uint8, 0 or 1), little-endian, one
+    /// after the other, events in file order; lower-case hex.
+    pub sha256_events: String,
+    /// What the file holds besides events, by kind.
+    pub skipped: BTreeMap<String, u64>,
+}
+
+/// Bytes of one column's value of an event.
+type Column = fn(&Event, &mut Vec<u8>);
+
+const COLUMNS: [Column; 4] = [
+    |event, bytes| bytes.extend_from_slice(&event.t_us.to_le_bytes()),
+    |event, bytes| bytes.extend_from_slice(&event.x.to_le_bytes()),
+    |event, bytes| bytes.extend_from_slice(&event.y.to_le_bytes()),
+    |event, bytes| bytes.push(event.polarity as u8),
+];
+
+/// Reads a recording; `size` counts where the file has none.
+///
+/// The hash needs whole columns one after the other: the file is read once per column, so that
+/// memory stays bounded by a batch. `progress` gets the number of events read since its last
+/// call, which comes to four times the recording's events.
+///
+/// # Errors
+/// An unknown format, a damaged or truncated recording.
+pub fn info(
+    path: &Path,
+    size: Option<Sensor>,
+    progress: &mut dyn FnMut(u64),
+) -> anyhow::Result<RecordingInfo> {
+    let mut reader = formats::open(path, size)?;
+    // Later passes need not search for the size again.
+    let sensor = reader.sensor();
+    let mut info = RecordingInfo {
+        sensor: reader.camera().map(str::to_owned),
+        format: reader.format().to_owned(),
+        width: sensor.width,
+        height: sensor.height,
+        events: 0,
+        on: 0,
+        off: 0,
+        t_first_us: None,
+        t_last_us: None,
+        duration_s: 0.0,
+        rate_eps: 0.0,
+        sum_x: 0,
+        sum_y: 0,
+        sha256_events: String::new(),
+        skipped: BTreeMap::new(),
+    };
+    let mut hash = Sha256::new();
+    let mut events = Vec::with_capacity(formats::BATCH_EVENTS);
+    let mut bytes = Vec::new();
+    for (pass, column) in COLUMNS.iter().enumerate() {
+        if pass > 0 {
+            reader = formats::open(path, Some(sensor))?;
+        }
+        loop {
+            events.clear();
+            let read = reader.read(&mut events)?;
+            if read == 0 {
+                break;
+            }
+            bytes.clear();
+            for event in &events {
+                column(event, &mut bytes);
+            }
+            hash.update(&bytes);
+            if pass == 0 {
+                info.count(&events);
+            }
+            progress(read as u64);
+        }
+        if pass == 0 {
+            let skipped = reader.skipped().iter();
+            info.skipped = skipped.map(|(kind, n)| (kind.to_owned(), n)).collect();
+        }
+    }
+    info.sha256_events = hash
+        .finalize()
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    if let (Some(first), Some(last)) = (info.t_first_us, info.t_last_us) {
+        info.duration_s = (last - first) as f64 / 1e6;
+        info.rate_eps = if last > first {
+            info.events as f64 / info.duration_s
+        } else {
+            0.0
+        };
+    }
+    Ok(info)
+}
+
+impl RecordingInfo {
+    fn count(&mut self, events: &[Event]) {
+        for event in events {
+            self.events += 1;
+            match event.polarity {
+                Polarity::On => self.on += 1,
+                Polarity::Off => self.off += 1,
+            }
+            let (first, last) = (self.t_first_us, self.t_last_us);
+            self.t_first_us = Some(first.map_or(event.t_us, |t| t.min(event.t_us)));
+            self.t_last_us = Some(last.map_or(event.t_us, |t| t.max(event.t_us)));
+            self.sum_x += u64::from(event.x);
+            self.sum_y += u64::from(event.y);
+        }
+    }
+}
