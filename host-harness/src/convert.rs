@@ -49,7 +49,8 @@ impl Filter {
         let Some(crop) = self.crop else {
             return Ok(sensor);
         };
-        let fits = |from: u16, side: u16, of: u16| u32::from(from) + u32::from(side) <= of.into();
+        let fits =
+            |from: u16, side: u16, of: u16| u32::from(from) + u32::from(side) <= u32::from(of);
         let inside =
             fits(crop.x, crop.width, sensor.width) && fits(crop.y, crop.height, sensor.height);
         Sensor::new(crop.width, crop.height)

@@ -5,6 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use eecvs_nostd::frame::SYNC;
 use eecvs_nostd::{Frame, FrameError, Header, Order, Scan, Sequence, scan};
 use serde::Serialize;
 
@@ -223,4 +224,19 @@ impl<R: Read> FrameReader<R> {
         self.ended = read? == 0;
         Ok(())
     }
+}
+
+/// Whether a file begins as a file of frames does.
+///
+/// # Errors
+/// A file that cannot be opened or read.
+pub fn is_frame_file(path: &Path) -> Result<bool> {
+    let name = path.display();
+    let mut start = Vec::new();
+    File::open(path)
+        .with_context(|| format!("{name}: cannot open"))?
+        .take(SYNC.len() as u64)
+        .read_to_end(&mut start)
+        .with_context(|| format!("{name}: cannot read"))?;
+    Ok(start == SYNC)
 }

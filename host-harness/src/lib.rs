@@ -4,6 +4,7 @@ pub mod calibrate;
 pub mod cmd;
 pub mod convert;
 pub mod decode;
+pub mod density_series;
 pub mod encode;
 pub mod exact_density;
 pub mod formats;

@@ -15,19 +15,29 @@ struct Eecvs {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Info(cmd::info::Info),
+    Emulate(cmd::emulate::Emulate),
+    Convert(cmd::convert::Convert),
     Calibrate(cmd::calibrate::Calibrate),
+    Monitor(cmd::monitor::Monitor),
     Encode(cmd::encode::Encode),
     Inspect(cmd::inspect::Inspect),
     Decode(cmd::decode::Decode),
+    Compare(cmd::compare::Compare),
 }
 
 fn main() -> ExitCode {
     // Bad usage ends here, with exit status 2.
     let result = match Eecvs::parse().command {
+        Command::Info(command) => command.run(),
+        Command::Emulate(command) => command.run(),
+        Command::Convert(command) => command.run(),
         Command::Calibrate(command) => command.run(),
+        Command::Monitor(command) => command.run(),
         Command::Encode(command) => command.run(),
         Command::Inspect(command) => command.run(),
         Command::Decode(command) => command.run(),
+        Command::Compare(command) => command.run(),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

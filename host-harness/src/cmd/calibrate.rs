@@ -3,22 +3,22 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroU32;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
-use clap::builder::RangedU64ValueParser;
-use eecvs_nostd::Sensor;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 
+use super::options::SizeOptions;
+use super::output::{print, print_json};
 use crate::calibrate::{CalibratedThresholds, Calibration};
 use crate::exact_density::decimal;
-use crate::formats;
+use crate::formats::{self, EventReader};
+use crate::progress::Progress;
+use crate::scene::{PRESETS, SceneConfig, emulate};
 use crate::thresholds_file::ThresholdsFile;
 
-/// Work that takes longer shows its progress.
-const PROGRESS_AFTER: Duration = Duration::from_secs(1);
+/// Seed of the calibrated scenes.
+const SCENE_SEED: u64 = 1;
 
 /// Compute the density thresholds of a set of recordings.
 ///
@@ -27,20 +27,19 @@ const PROGRESS_AFTER: Duration = Duration::from_secs(1);
 #[derive(Debug, Args)]
 pub struct Calibrate {
     /// Recordings of the calibration set, of any sensor size.
-    #[arg(required = true, value_name = "FILE")]
+    #[arg(required_unless_present = "scenes", value_name = "FILE")]
     files: Vec<PathBuf>,
+
+    /// Add the nine emulated scenes, as the thresholds that come with the program were made
+    #[arg(long)]
+    scenes: bool,
 
     /// Duration of a window in microseconds.
     #[arg(long, value_name = "T", default_value = "32768")]
     window_us: NonZeroU32,
 
-    /// Sensor width in pixels, for formats that do not store it.
-    #[arg(long, value_name = "W", requires = "height", value_parser = side())]
-    width: Option<u16>,
-
-    /// Sensor height in pixels, for formats that do not store it.
-    #[arg(long, value_name = "H", requires = "width", value_parser = side())]
-    height: Option<u16>,
+    #[command(flatten)]
+    size: SizeOptions,
 
     /// Thresholds file to write, in TOML.
     #[arg(short, long, value_name = "thresholds.toml")]
@@ -51,10 +50,6 @@ pub struct Calibrate {
     json: bool,
 }
 
-fn side() -> RangedU64ValueParser<u16> {
-    RangedU64ValueParser::new().range(1..=u64::from(Sensor::SIDE_MAX))
-}
-
 impl Calibrate {
     /// Reads the recordings, writes the thresholds file and prints the result.
     ///
@@ -62,37 +57,42 @@ impl Calibrate {
     /// A recording that cannot be read to its end, recordings without events, or an output
     /// that cannot be written; the message names the file.
     pub fn run(self) -> anyhow::Result<()> {
-        let size = self
-            .width
-            .zip(self.height)
-            .and_then(|(w, h)| Sensor::new(w, h));
+        let size = self.size.sensor();
         let mut calibration = Calibration::new(self.window_us);
         let mut skipped: BTreeMap<&'static str, u64> = BTreeMap::new();
-        let mut progress = Progress::new();
-        for file in &self.files {
-            let mut recording = formats::open(file, size)?;
-            calibration.add(recording.as_mut(), &mut |events| progress.advance(events))?;
+        let progress = Progress::new("events");
+        let mut add = |recording: &mut dyn EventReader| -> anyhow::Result<()> {
+            calibration.add(recording, &mut |events| progress.advance(events))?;
             for (kind, n) in recording.skipped().iter() {
                 *skipped.entry(kind).or_default() += n;
             }
+            Ok(())
+        };
+        for file in &self.files {
+            add(formats::open(file, size)?.as_mut())?;
         }
-        progress.bar.finish_and_clear();
+        if self.scenes {
+            for preset in PRESETS {
+                add(&mut emulate(SceneConfig::new(preset, SCENE_SEED))?)?;
+            }
+        }
+        drop(progress);
         let thresholds = calibration
             .thresholds()
             .with_context(|| self.file_names().join(", "))?;
         ThresholdsFile::new(&thresholds, self.file_names()).write(&self.output)?;
         if self.json {
-            println!("{}", self.json_object(&thresholds, &skipped));
+            print_json(&self.json_object(&thresholds, &skipped))
         } else {
-            print!("{}", self.table(&thresholds, &skipped));
+            print(&self.table(&thresholds, &skipped))
         }
-        Ok(())
     }
 
     fn file_names(&self) -> Vec<String> {
-        self.files
-            .iter()
-            .map(|file| file.display().to_string())
+        let files = self.files.iter().map(|file| file.display().to_string());
+        let scenes = PRESETS.iter().filter(|_| self.scenes);
+        files
+            .chain(scenes.map(|preset| format!("scene {}, seed {SCENE_SEED}", preset.name())))
             .collect()
     }
 
@@ -149,32 +149,6 @@ impl Calibrate {
     }
 }
 
-/// Events read so far, on stderr where that is a terminal and the work takes long.
-struct Progress {
-    bar: ProgressBar,
-    start: Instant,
-}
-
-impl Progress {
-    fn new() -> Self {
-        let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
-        if let Ok(style) = ProgressStyle::with_template("{spinner} {human_pos} events") {
-            bar.set_style(style);
-        }
-        Self {
-            bar,
-            start: Instant::now(),
-        }
-    }
-
-    fn advance(&mut self, events: u64) {
-        if self.bar.is_hidden() && self.start.elapsed() > PROGRESS_AFTER {
-            self.bar.set_draw_target(ProgressDrawTarget::stderr());
-        }
-        self.bar.inc(events);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -197,12 +171,12 @@ mod tests {
         let c = parse("a.raw b.raw -o t.toml").unwrap();
         assert_eq!(c.file_names(), ["a.raw", "b.raw"]);
         assert_eq!(
-            (c.window_us.get(), c.width, c.height, c.json),
+            (c.window_us.get(), c.size.width, c.size.height, c.json),
             (32_768, None, None, false)
         );
         let c = parse("a --window-us 1 --width 640 --height 2048 --json -o t").unwrap();
         assert_eq!(
-            (c.window_us.get(), c.width, c.height),
+            (c.window_us.get(), c.size.width, c.size.height),
             (1, Some(640), Some(2048))
         );
         assert!(c.json);
@@ -239,8 +213,8 @@ mod tests {
         let command = Calibrate {
             files: vec![folder.path().join("missing.raw")],
             window_us: NonZeroU32::MIN,
-            width: None,
-            height: None,
+            scenes: false,
+            size: SizeOptions::default(),
             output: output.clone(),
             json: false,
         };

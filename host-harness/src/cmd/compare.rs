@@ -1,15 +1,14 @@
 //! `eecvs compare`: distortion between two recordings.
 
-use std::io::IsTerminal;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use eecvs_nostd::Sensor;
-use indicatif::{ProgressBar, ProgressStyle};
 
+use super::options::SizeOptions;
+use super::output::{print, print_json};
 use crate::formats;
 use crate::metrics::{self, Comparison};
+use crate::progress::Progress;
 
 /// Compare recording B with recording A: frames, event times and events
 ///
@@ -24,14 +23,8 @@ pub struct Compare {
     #[arg(long, value_name = "T", default_value_t = 32_768,
           value_parser = clap::value_parser!(u64).range(1..))]
     window_us: u64,
-    /// Sensor width, for files that do not name it
-    #[arg(long, value_name = "W", requires = "height",
-          value_parser = clap::value_parser!(u16).range(1..=i64::from(Sensor::SIDE_MAX)))]
-    width: Option<u16>,
-    /// Sensor height, for files that do not name it
-    #[arg(long, value_name = "H", requires = "width",
-          value_parser = clap::value_parser!(u16).range(1..=i64::from(Sensor::SIDE_MAX)))]
-    height: Option<u16>,
+    #[command(flatten)]
+    size: SizeOptions,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -43,40 +36,36 @@ impl Compare {
     /// # Errors
     /// A recording that cannot be read, or what [`metrics::compare`] refuses.
     pub fn run(self) -> Result<()> {
-        let size = match (self.width, self.height) {
-            (Some(width), Some(height)) => Sensor::new(width, height),
-            _ => None,
-        };
-        let mut progress = LateBar::new();
+        let size = self.size.sensor();
+        let progress = Progress::new("events");
         let comparison = metrics::compare(
             &|| formats::open(&self.a, size),
             &|| formats::open(&self.b, size),
             self.window_us,
             &mut |events| progress.set(events),
         );
-        progress.clear();
+        drop(progress);
         let comparison = comparison
             .with_context(|| format!("{} against {}", self.a.display(), self.b.display()))?;
         for (late, path) in [(comparison.late_a, &self.a), (comparison.late_b, &self.b)] {
             if late > 0 {
                 eprintln!(
-                    "{}: {late} events are too far out of time order to be placed; they count as \
+                    "eecvs: {}: {late} events are too far out of time order to be placed; they count as \
                      unmatched",
                     path.display()
                 );
             }
         }
         if self.json {
-            println!("{}", serde_json::to_string(&comparison)?);
+            print_json(&comparison)
         } else {
-            print!("{}", table(&comparison));
+            print(&table(&comparison))
         }
-        Ok(())
     }
 }
 
 /// One line per metric: name, value, unit.
-fn table(c: &Comparison) -> String {
+pub fn table(c: &Comparison) -> String {
     // Rounded down: 1.000000 stands for nothing less.
     let floor = |share: f64| format!("{:.6}", (share * 1e6).floor() / 1e6);
     let rows = [
@@ -95,44 +84,6 @@ fn table(c: &Comparison) -> String {
             format!("{}\n", line.trim_end())
         })
         .collect()
-}
-
-/// A progress bar that shows itself on a terminal once the work has taken a second.
-struct LateBar {
-    start: Instant,
-    terminal: bool,
-    bar: Option<ProgressBar>,
-}
-
-impl LateBar {
-    fn new() -> Self {
-        Self {
-            start: Instant::now(),
-            terminal: std::io::stderr().is_terminal(),
-            bar: None,
-        }
-    }
-
-    fn set(&mut self, events: u64) {
-        if self.terminal && self.start.elapsed() > Duration::from_secs(1) {
-            self.bar
-                .get_or_insert_with(|| {
-                    // The number of events is not known before they have been read.
-                    let style = ProgressStyle::with_template(
-                        "{spinner} comparing: {human_pos} events read, {per_sec}",
-                    );
-                    let bar = ProgressBar::new_spinner();
-                    style.map_or(bar.clone(), |style| bar.with_style(style))
-                })
-                .set_position(events);
-        }
-    }
-
-    fn clear(&self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
-    }
 }
 
 #[cfg(test)]

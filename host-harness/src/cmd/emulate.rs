@@ -1,15 +1,15 @@
 //! `eecvs emulate`: writes a seeded scene to a recording.
 
-use std::io::IsTerminal;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::Context;
 use clap::ValueEnum;
 use eecvs_nostd::{Event, Polarity, Sensor};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use super::output::print;
 use crate::formats::{self, EventReader, EventWriter};
+use crate::progress::Progress;
 use crate::scene::{self, Emulator, PRESETS, Preset, SceneConfig};
 
 /// Emulate a seeded scene and write its events to a recording
@@ -67,8 +67,7 @@ impl Emulate {
     /// file, an event that the format cannot hold.
     pub fn run(self) -> anyhow::Result<()> {
         if self.list {
-            print!("{}", scenes());
-            return Ok(());
+            return print(&scenes());
         }
         let (preset, output) = self.scene.zip(self.output.as_ref()).with_context(|| {
             format!(
@@ -92,8 +91,7 @@ impl Emulate {
             .finish()
             .with_context(|| format!("{}", output.display()))?;
         let seconds = begun.elapsed().as_secs_f64();
-        println!("{}", self.report(&config, written, seconds));
-        Ok(())
+        print(&format!("{}\n", self.report(&config, written, seconds)))
     }
 
     /// The result as a table or as JSON.
@@ -157,14 +155,7 @@ fn scenes() -> String {
 
 /// Writes every event of a scene, batch by batch.
 fn write_scene(emulator: &mut Emulator, writer: &mut dyn EventWriter) -> anyhow::Result<Written> {
-    let bar = ProgressBar::with_draw_target(
-        Some(emulator.config().duration_us / 1_000),
-        ProgressDrawTarget::hidden(),
-    );
-    if let Ok(style) = ProgressStyle::with_template("{wide_bar} {pos}/{len} ms of scene, {eta}") {
-        bar.set_style(style);
-    }
-    let begun = Instant::now();
+    let progress = Progress::new("ms of scene");
     let mut written = Written::default();
     let mut events: Vec<Event> = Vec::with_capacity(formats::BATCH_EVENTS);
     while emulator.read(&mut events)? > 0 {
@@ -173,14 +164,8 @@ fn write_scene(emulator: &mut Emulator, writer: &mut dyn EventWriter) -> anyhow:
         let on = events.iter().filter(|e| e.polarity == Polarity::On);
         written.on += on.count() as u64;
         events.clear();
-        // Short work needs no bar; the bar itself stays away where stderr is no terminal.
-        let hidden = bar.is_hidden() && begun.elapsed() > Duration::from_secs(1);
-        if hidden && std::io::stderr().is_terminal() {
-            bar.set_draw_target(ProgressDrawTarget::stderr());
-        }
-        bar.set_position(emulator.elapsed_us() / 1_000);
+        progress.set(emulator.elapsed_us() / 1_000);
     }
-    bar.finish_and_clear();
     Ok(written)
 }
 

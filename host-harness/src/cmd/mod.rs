@@ -2,9 +2,12 @@
 
 pub mod calibrate;
 pub mod compare;
+pub mod convert;
 pub mod decode;
 pub mod emulate;
 pub mod encode;
+pub mod info;
 pub mod inspect;
+pub mod monitor;
 pub mod options;
 pub mod output;

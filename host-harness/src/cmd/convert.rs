@@ -1,0 +1,112 @@
+//! `eecvs convert`: from one event-file format to another.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+
+use super::options::SizeOptions;
+use super::output::{print, print_json, rows};
+use crate::convert::{Crop, Filter, convert};
+
+/// Convert a recording, or a part of it, to another format
+#[derive(Debug, Args)]
+pub struct Convert {
+    /// Recording to read
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+
+    /// Recording to write; the extension names the format
+    #[arg(value_name = "OUT")]
+    output: PathBuf,
+
+    /// Only events at or after this time of the recording, in microseconds
+    #[arg(long, value_name = "T")]
+    from_us: Option<u64>,
+
+    /// Only events before this time of the recording, in microseconds
+    #[arg(long, value_name = "T")]
+    to_us: Option<u64>,
+
+    /// Only this part of the sensor; its corner becomes (0, 0)
+    #[arg(long, value_name = "X,Y,W,H", value_parser = crop)]
+    crop: Option<Crop>,
+
+    #[command(flatten)]
+    size: SizeOptions,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+fn crop(text: &str) -> Result<Crop> {
+    let numbers: Vec<u16> = text
+        .split(',')
+        .map(|number| {
+            number
+                .trim()
+                .parse()
+                .with_context(|| format!("`{number}` is no number"))
+        })
+        .collect::<Result<_>>()?;
+    let [x, y, width, height] = numbers[..] else {
+        bail!("four numbers are needed: left column, top row, width, height");
+    };
+    Ok(Crop {
+        x,
+        y,
+        width,
+        height,
+    })
+}
+
+impl Convert {
+    /// Converts and prints how many events were read and written.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, a format that cannot hold its events.
+    pub fn run(self) -> Result<()> {
+        let filter = Filter {
+            from_us: self.from_us,
+            to_us: self.to_us,
+            crop: self.crop,
+        };
+        let converted = convert(&self.input, &self.output, self.size.sensor(), filter)?;
+        if self.json {
+            return print_json(&converted);
+        }
+        print(&rows([
+            ("events in", converted.events_in.to_string()),
+            ("events out", converted.events_out.to_string()),
+        ]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn crops_are_four_numbers() {
+        assert_eq!(
+            crop("1,2,30,40").unwrap(),
+            Crop {
+                x: 1,
+                y: 2,
+                width: 30,
+                height: 40
+            }
+        );
+        for wrong in [
+            "",
+            "1,2,3",
+            "1,2,3,4,5",
+            "1,2,3,-4",
+            "a,b,c,d",
+            "70000,0,1,1",
+        ] {
+            assert!(crop(wrong).is_err(), "{wrong}");
+        }
+    }
+}

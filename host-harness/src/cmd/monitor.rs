@@ -1,0 +1,177 @@
+//! `eecvs monitor`: density per window, regime, histogram.
+
+use std::num::NonZeroU32;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use eecvs_nostd::{Density, Regime, Thresholds};
+use serde_json::json;
+
+use super::options::{SizeOptions, ThresholdOptions};
+use super::output::{print, print_json};
+use crate::density_series::{WindowDensity, of_frames, of_recording};
+use crate::frame_file::is_frame_file;
+use crate::report::chart;
+
+/// Columns of a bar.
+const BAR: usize = 40;
+/// Rows of the histogram.
+const HISTOGRAM_ROWS: usize = 16;
+
+/// Print density and regime of every window, and their histogram
+#[derive(Debug, Args)]
+pub struct Monitor {
+    /// Recording or file of frames
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+
+    /// Duration of a window in microseconds; a file of frames has its own
+    #[arg(long, value_name = "T", default_value = "32768")]
+    window_us: NonZeroU32,
+
+    #[command(flatten)]
+    thresholds: ThresholdOptions,
+
+    #[command(flatten)]
+    size: SizeOptions,
+
+    /// Write the density over time as an SVG chart
+    #[arg(long, value_name = "FILE.svg")]
+    chart: Option<PathBuf>,
+
+    /// Write the histogram as an SVG chart
+    #[arg(long, value_name = "FILE.svg")]
+    histogram: Option<PathBuf>,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+impl Monitor {
+    /// Prints the windows and their histogram.
+    ///
+    /// # Errors
+    /// An input that cannot be read, a chart that cannot be written.
+    pub fn run(self) -> Result<()> {
+        let thresholds = self.thresholds.load()?;
+        let mut windows = Vec::new();
+        let mut keep = |window| {
+            windows.push(window);
+            Ok(())
+        };
+        if is_frame_file(&self.input)? {
+            of_frames(&self.input, thresholds, &mut keep)?;
+        } else {
+            let size = self.size.sensor();
+            of_recording(&self.input, size, self.window_us, thresholds, &mut keep)?;
+        }
+        let marks = chart_thresholds(thresholds);
+        if let Some(path) = &self.chart {
+            let svg = chart::density_over_time("Event density", &points(&windows), marks)?;
+            std::fs::write(path, svg).with_context(|| format!("{}", path.display()))?;
+        }
+        if let Some(path) = &self.histogram {
+            let densities: Vec<f64> = windows.iter().map(|w| w.density_per_px_s).collect();
+            let svg = chart::density_histogram("Event density", &densities, marks)?;
+            std::fs::write(path, svg).with_context(|| format!("{}", path.display()))?;
+        }
+        if self.json {
+            return print_json(&json!({
+                "tau_low": marks.tau_low,
+                "tau_high": marks.tau_high,
+                "windows": windows,
+            }));
+        }
+        print(&table(&windows, thresholds))
+    }
+}
+
+/// Thresholds in events per pixel per second.
+#[must_use]
+pub fn chart_thresholds(thresholds: Thresholds) -> chart::Thresholds {
+    let per_px_s = |pico: u64| pico as f64 / Density::PICO as f64;
+    chart::Thresholds {
+        tau_low: per_px_s(thresholds.tau_low_pico()),
+        tau_high: per_px_s(thresholds.tau_high_pico()),
+    }
+}
+
+/// Points of a chart whose time starts at the first window.
+#[must_use]
+pub fn points(windows: &[WindowDensity]) -> Vec<chart::DensityPoint> {
+    let start_us = windows.first().map_or(0, |window| window.t0_us);
+    windows
+        .iter()
+        .map(|window| chart::DensityPoint {
+            time_s: window.t0_us.saturating_sub(start_us) as f64 * 1e-6,
+            density: window.density_per_px_s,
+        })
+        .collect()
+}
+
+fn bar(share: f64) -> String {
+    "#".repeat((share * BAR as f64).round() as usize)
+}
+
+fn table(windows: &[WindowDensity], thresholds: Thresholds) -> String {
+    let marks = chart_thresholds(thresholds);
+    let most = windows
+        .iter()
+        .map(|w| w.density_per_px_s)
+        .fold(0.0, f64::max);
+    let mut text = format!(
+        "{:>17} {:>9} {:>8} {:>12} {:8} {}\n",
+        "t0_us", "dur_us", "events", "ev/px/s", "regime", "transform"
+    );
+    for window in windows {
+        if window.empty_before > 0 {
+            text += &format!("{:>17} {} empty windows\n", "...", window.empty_before);
+        }
+        text += &format!(
+            "{:>17} {:>9} {:>8} {:>12.4} {:8} {:4} {}\n",
+            window.t0_us,
+            window.duration_us,
+            window.events,
+            window.density_per_px_s,
+            window.regime.name(),
+            window.regime.transform().name(),
+            bar(window.density_per_px_s / most.max(f64::MIN_POSITIVE)),
+        );
+    }
+    text += &format!(
+        "\ntau_low {} tau_high {} events/px/s\n",
+        marks.tau_low, marks.tau_high
+    );
+    for regime in Regime::ALL {
+        let count = windows
+            .iter()
+            .filter(|window| window.regime == regime)
+            .count();
+        text += &format!("{:8} {count} windows\n", regime.name());
+    }
+    text + &histogram(windows, most)
+}
+
+/// Counts of windows in equal steps of density.
+fn histogram(windows: &[WindowDensity], most: f64) -> String {
+    if most <= 0.0 {
+        return String::new();
+    }
+    let mut counts = [0_usize; HISTOGRAM_ROWS];
+    for window in windows {
+        let row = (window.density_per_px_s / most * HISTOGRAM_ROWS as f64) as usize;
+        counts[row.min(HISTOGRAM_ROWS - 1)] += 1;
+    }
+    let fullest = counts.iter().copied().max().unwrap_or(1).max(1);
+    let mut text = "\nev/px/s from   windows\n".to_owned();
+    for (row, count) in counts.iter().enumerate() {
+        let from = most * row as f64 / HISTOGRAM_ROWS as f64;
+        text += &format!(
+            "{from:>12.4} {count:>9} {}\n",
+            bar(*count as f64 / fullest as f64)
+        );
+    }
+    text
+}

@@ -1,0 +1,137 @@
+//! Density and regime of every window of a recording or of a file of frames.
+
+use std::num::{NonZeroU32, NonZeroUsize};
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use eecvs_nostd::{Density, Regime, Sensor, Thresholds};
+use serde::Serialize;
+
+use crate::formats;
+use crate::frame_file::FrameReader;
+use crate::reference::window::{HOST_CAPACITY, Window, Windower};
+
+/// One window with events; the fields are the JSON keys.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct WindowDensity {
+    /// Start.
+    pub t0_us: u64,
+    /// Duration.
+    pub duration_us: u32,
+    /// Events.
+    pub events: u32,
+    /// Events per pixel per second.
+    pub density_per_px_s: f64,
+    /// Regime by the thresholds in force.
+    #[serde(serialize_with = "regime_name")]
+    pub regime: Regime,
+    /// Windows without events since the previous one.
+    pub empty_before: u64,
+}
+
+// serde's `serialize_with` passes a reference.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn regime_name<S: serde::Serializer>(regime: &Regime, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(regime.name())
+}
+
+/// Takes the windows of a stream in order.
+#[derive(Debug)]
+pub struct DensitySeries {
+    sensor: Sensor,
+    thresholds: Thresholds,
+    window_us: u64,
+    next_t0_us: Option<u64>,
+}
+
+impl DensitySeries {
+    /// Windows of `window_us` on `sensor`.
+    #[must_use]
+    pub const fn new(sensor: Sensor, window_us: u64, thresholds: Thresholds) -> Self {
+        Self {
+            sensor,
+            thresholds,
+            window_us,
+            next_t0_us: None,
+        }
+    }
+
+    /// The next window.
+    pub fn add(&mut self, t0_us: u64, duration_us: u32, events: u32) -> WindowDensity {
+        let density = Density {
+            events,
+            pixels: self.sensor.pixels(),
+            duration_us,
+        };
+        let gap_us = self.next_t0_us.map_or(0, |next| t0_us.saturating_sub(next));
+        self.next_t0_us = Some(t0_us.saturating_add(u64::from(duration_us)));
+        WindowDensity {
+            t0_us,
+            duration_us,
+            events,
+            density_per_px_s: density.per_pixel_s(),
+            regime: self.thresholds.regime(density),
+            empty_before: gap_us / self.window_us.max(1),
+        }
+    }
+}
+
+/// Densities of a recording's windows, in order; `each` gets every one.
+///
+/// # Errors
+/// A recording that cannot be read.
+pub fn of_recording(
+    path: &Path,
+    size: Option<Sensor>,
+    window_us: NonZeroU32,
+    thresholds: Thresholds,
+    each: &mut dyn FnMut(WindowDensity) -> Result<()>,
+) -> Result<()> {
+    let mut reader = formats::open(path, size)?;
+    let mut series = DensitySeries::new(reader.sensor(), u64::from(window_us.get()), thresholds);
+    let capacity: NonZeroUsize = HOST_CAPACITY;
+    let mut windower = Windower::new(window_us, capacity);
+    let mut take = |window: Window| {
+        each(series.add(window.t0_us, window.duration_us, window.events.len() as u32))
+    };
+    let mut events = Vec::new();
+    while reader.read(&mut events)? > 0 {
+        for event in events.drain(..) {
+            if let Some(window) = windower.push(event) {
+                take(window)?;
+            }
+        }
+    }
+    windower.flush().map_or(Ok(()), take)
+}
+
+/// Densities of the windows of a file of frames.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn of_frames(
+    path: &Path,
+    thresholds: Thresholds,
+    each: &mut dyn FnMut(WindowDensity) -> Result<()>,
+) -> Result<()> {
+    let name = path.display();
+    let mut reader = FrameReader::open(path)?;
+    let mut series = None;
+    while let Some(located) = reader
+        .next_frame()
+        .with_context(|| format!("{name}: cannot read"))?
+    {
+        let header = located.frame.header;
+        if header.part > 0 || header.window_events == 0 {
+            continue;
+        }
+        let series = series.get_or_insert_with(|| {
+            DensitySeries::new(header.sensor, u64::from(header.duration_us), thresholds)
+        });
+        each(series.add(header.t0_us, header.duration_us, header.window_events))?;
+    }
+    if let Some(warning) = reader.report().warning() {
+        eprintln!("eecvs: {name}: {warning}");
+    }
+    Ok(())
+}
