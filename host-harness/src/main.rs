@@ -15,6 +15,7 @@ struct Eecvs {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Demo(cmd::demo::Demo),
     Info(cmd::info::Info),
     Emulate(cmd::emulate::Emulate),
     Convert(cmd::convert::Convert),
@@ -29,6 +30,7 @@ enum Command {
 fn main() -> ExitCode {
     // Bad usage ends here, with exit status 2.
     let result = match Eecvs::parse().command {
+        Command::Demo(command) => command.run(),
         Command::Info(command) => command.run(),
         Command::Emulate(command) => command.run(),
         Command::Convert(command) => command.run(),

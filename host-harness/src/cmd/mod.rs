@@ -4,6 +4,7 @@ pub mod calibrate;
 pub mod compare;
 pub mod convert;
 pub mod decode;
+pub mod demo;
 pub mod emulate;
 pub mod encode;
 pub mod info;

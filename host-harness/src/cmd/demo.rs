@@ -1,0 +1,287 @@
+//! `eecvs demo`: the main job from an emulated scene to a page with pictures.
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::num::NonZeroU32;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use eecvs_nostd::{Config, Event, Quantiser, Regime, Sensor, Thresholds, Transform, WindowConfig};
+
+use super::monitor::{chart_thresholds, points};
+use super::output::print;
+use crate::calibrate::Calibration;
+use crate::decode::{WindowReader, decode};
+use crate::density_series::{WindowDensity, of_recording};
+use crate::encode::{Limits, encode};
+use crate::formats::{self, EventReader};
+use crate::frame_file::FrameReader;
+use crate::metrics;
+use crate::progress::Progress;
+use crate::report::chart;
+use crate::report::demo::{Page, Row, table};
+use crate::report::frame_picture::{FrameStyle, FrameSums, comparison_strip};
+use crate::scene::{Preset, SceneConfig, emulate};
+use crate::thresholds_file::ThresholdsFile;
+
+const WINDOW_US: NonZeroU32 = NonZeroU32::new(32_768).unwrap();
+const M: u8 = 16;
+
+/// Emulate a scene, calibrate, encode, decode, compare, and write a page with pictures
+#[derive(Debug, Args)]
+pub struct Demo {
+    /// Folder of the results
+    #[arg(short, long, value_name = "DIR", default_value = "eecvs-demo")]
+    output: PathBuf,
+
+    /// Scene to emulate
+    #[arg(long, value_enum, default_value = "outdoor-well-lit-blur")]
+    scene: Preset,
+
+    /// Seed of the scene
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+/// Files and settings of the run.
+struct Run {
+    folder: PathBuf,
+    scene: PathBuf,
+    sensor: Sensor,
+    thresholds: Thresholds,
+}
+
+impl Demo {
+    /// Runs the whole codec and prints where its results are.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    pub fn run(self) -> Result<()> {
+        fs::create_dir_all(&self.output)
+            .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
+        let config = SceneConfig::new(self.scene, self.seed);
+        let scene = self.output.join("scene.raw");
+        say(&format!(
+            "emulate    {}, seed {}",
+            self.scene.name(),
+            self.seed
+        ))?;
+        let events = write_scene(config, &scene)?;
+        say(&format!(
+            "           {events} events in {}",
+            scene.display()
+        ))?;
+
+        let thresholds = calibrate(&scene, &self.output.join("thresholds.toml"))?;
+        let run = Run {
+            folder: self.output.clone(),
+            scene,
+            sensor: config.sensor,
+            thresholds: thresholds.thresholds()?,
+        };
+        let marks = chart_thresholds(run.thresholds);
+        say(&format!(
+            "calibrate  tau_low {:.3}, tau_high {:.3} events/pixel/s",
+            marks.tau_low, marks.tau_high
+        ))?;
+
+        let mut rows = Vec::new();
+        for (name, transform) in [
+            ("auto", None),
+            ("dct", Some(Transform::Dct)),
+            ("dtft", Some(Transform::Dtft)),
+            ("dwt", Some(Transform::Dwt)),
+        ] {
+            say(&format!("{name:<10} encode, decode, compare"))?;
+            rows.push(run.row(name, transform)?);
+        }
+
+        let pictures = run.pictures()?;
+        let scene_text = format!("{}, seed {}", self.scene.name(), self.seed);
+        let setting = format!(
+            "{events} events of {} x {} pixels, windows of {WINDOW_US} us, M = {M}, step 2^{}.",
+            run.sensor.width,
+            run.sensor.height,
+            Quantiser::DEFAULT.step_log2(),
+        );
+        let page = Page {
+            scene: &scene_text,
+            setting: &setting,
+            pictures: &pictures,
+            rows: &rows,
+        };
+        let report = self.output.join("report.html");
+        fs::write(&report, page.html()).with_context(|| format!("{}", report.display()))?;
+        let files: Vec<_> = pictures
+            .iter()
+            .map(|(file, caption)| format!("  {}  {caption}\n", run.folder.join(file).display()))
+            .collect();
+        print(&format!(
+            "\n{}\npictures of the original and the decoded scene:\n{}report: {}\n",
+            table(&rows),
+            files.concat(),
+            report.display()
+        ))
+    }
+}
+
+fn say(line: &str) -> Result<()> {
+    print(&format!("{line}\n"))
+}
+
+fn write_scene(config: SceneConfig, path: &Path) -> Result<u64> {
+    let mut emulator = emulate(config)?;
+    let mut writer = formats::create(path, config.sensor)?;
+    let progress = Progress::new("events emulated");
+    let mut events = Vec::new();
+    let mut count = 0;
+    while emulator.read(&mut events)? > 0 {
+        writer.write(&events)?;
+        count += events.len() as u64;
+        progress.set(count);
+        events.clear();
+    }
+    writer.finish()?;
+    ensure!(count > 0, "the scene has no events");
+    Ok(count)
+}
+
+fn calibrate(scene: &Path, path: &Path) -> Result<ThresholdsFile> {
+    let mut calibration = Calibration::new(WINDOW_US);
+    calibration.add(formats::open(scene, None)?.as_mut(), &mut |_| ())?;
+    let file = ThresholdsFile::new(
+        &calibration.thresholds()?,
+        vec![scene.display().to_string()],
+    );
+    file.write(path)?;
+    Ok(file)
+}
+
+impl Run {
+    fn decoded(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("decoded-{name}.raw"))
+    }
+
+    /// Encodes into a file, decodes it into another and compares that with the scene.
+    fn row(&self, name: &'static str, transform: Option<Transform>) -> Result<Row> {
+        let frames = self.folder.join(format!("{name}.eecvs"));
+        let file = File::create(&frames).with_context(|| format!("{}", frames.display()))?;
+        let mut out = BufWriter::new(file);
+        let config = Config {
+            window: WindowConfig {
+                sensor: self.sensor,
+                window_us: WINDOW_US.get(),
+            },
+            thresholds: self.thresholds,
+            transform,
+            m: M,
+            grid: None,
+            quantiser: Quantiser::DEFAULT,
+        };
+        let mut reader = formats::open(&self.scene, None)?;
+        let progress = Progress::new("events");
+        let mut show = |events| progress.set(events);
+        let encoded = encode(
+            reader.as_mut(),
+            config,
+            Limits::default(),
+            &mut out,
+            &mut show,
+        )?;
+        out.flush()
+            .with_context(|| format!("{}", frames.display()))?;
+
+        let decoded = self.decoded(name);
+        decode(
+            &mut WindowReader::new(FrameReader::open(&frames)?),
+            &mut |sensor| formats::create(&decoded, sensor).map(Some),
+            &mut |_, _| Ok(()),
+            &mut show,
+        )?;
+        let compared = metrics::compare(
+            &|| formats::open(&self.scene, None),
+            &|| formats::open(&decoded, None),
+            u64::from(WINDOW_US.get()),
+            &mut show,
+        )?;
+        Ok(Row {
+            name,
+            encoded,
+            compared,
+        })
+    }
+
+    /// A strip for one window of each regime, and the charts of the density.
+    fn pictures(&self) -> Result<Vec<(String, String)>> {
+        let mut windows = Vec::new();
+        of_recording(
+            &self.scene,
+            None,
+            WINDOW_US,
+            self.thresholds,
+            &mut |window| {
+                windows.push(window);
+                Ok(())
+            },
+        )?;
+        let mut pictures = Vec::new();
+        for regime in Regime::ALL {
+            let of_regime: Vec<_> = windows.iter().filter(|w| w.regime == regime).collect();
+            let Some(window) = of_regime.get(of_regime.len() / 2) else {
+                continue;
+            };
+            let file = format!("{}.png", regime.name());
+            let caption = format!(
+                "{} window at {:.3} s, {} events, {}: first 4 ms, original and decoded",
+                regime.name(),
+                window.t0_us as f64 * 1e-6,
+                window.events,
+                regime.transform().name(),
+            );
+            self.strip(window, &self.folder.join(&file))?;
+            pictures.push((file, caption));
+        }
+        let marks = chart_thresholds(self.thresholds);
+        let densities: Vec<f64> = windows.iter().map(|w| w.density_per_px_s).collect();
+        for (file, caption, svg) in [
+            (
+                "density.svg",
+                "density and regime of every window",
+                chart::density_over_time("Event density", &points(&windows), marks)?,
+            ),
+            (
+                "histogram.svg",
+                "densities with the two thresholds",
+                chart::density_histogram("Event density", &densities, marks)?,
+            ),
+        ] {
+            let path = self.folder.join(file);
+            fs::write(&path, svg).with_context(|| format!("{}", path.display()))?;
+            pictures.push((file.to_owned(), caption.to_owned()));
+        }
+        Ok(pictures)
+    }
+
+    /// Original, decoded and difference of the start of a window.
+    ///
+    /// A whole window would look alike, since its counts are exact: a slice of it shows what the
+    /// coefficients do to the times.
+    fn strip(&self, window: &WindowDensity, path: &Path) -> Result<()> {
+        let until_us = window.t0_us + 4096;
+        let sums = |path: &Path| -> Result<FrameSums> {
+            let mut reader = formats::open(path, None)?;
+            let mut slice: Vec<Event> = Vec::new();
+            let mut events = Vec::new();
+            while reader.read(&mut events)? > 0 {
+                let inside = |e: &Event| (window.t0_us..until_us).contains(&e.t_us);
+                slice.extend(events.drain(..).filter(inside));
+            }
+            Ok(FrameSums::new(self.sensor, &slice))
+        };
+        let (original, decoded) = (sums(&self.scene)?, sums(&self.decoded("auto"))?);
+        comparison_strip(&original, &decoded, FrameStyle::for_sensor(self.sensor))
+            .save(path)
+            .with_context(|| format!("{}", path.display()))
+    }
+}

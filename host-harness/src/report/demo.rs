@@ -1,0 +1,130 @@
+//! The page that `eecvs demo` writes: pictures, charts and the measured table.
+
+use std::fmt::Write as _;
+
+use crate::encode::EncodeSummary;
+use crate::metrics::Comparison;
+
+/// One way of encoding the scene, and how well it came back.
+#[derive(Debug, Clone)]
+pub struct Row {
+    /// `auto`, `dct`, `dtft` or `dwt`.
+    pub name: &'static str,
+    /// What the encoder did.
+    pub encoded: EncodeSummary,
+    /// The decoded events against the original ones.
+    pub compared: Comparison,
+}
+
+const HEADINGS: [&str; 8] = [
+    "transform",
+    "windows dct/dtft/dwt",
+    "bits/event",
+    "Mev/s",
+    "mse",
+    "ssim",
+    "emd_time ms",
+    "emd_pixel us",
+];
+
+impl Row {
+    fn cells(&self) -> [String; 8] {
+        let (e, c) = (&self.encoded, &self.compared);
+        [
+            self.name.to_owned(),
+            format!("{}/{}/{}", e.windows_dct, e.windows_dtft, e.windows_dwt),
+            format!("{:.1}", e.bits_per_event),
+            format!("{:.2}", e.events_per_s / 1e6),
+            format!("{:.2e}", c.mse),
+            format!("{:.4}", c.ssim),
+            format!("{:.4}", c.emd_time_ms),
+            format!("{:.1}", c.emd_pixel_us),
+        ]
+    }
+}
+
+/// The table for the terminal.
+#[must_use]
+pub fn table(rows: &[Row]) -> String {
+    let cells: Vec<_> = rows.iter().map(Row::cells).collect();
+    let widths: [usize; 8] = std::array::from_fn(|i| {
+        cells
+            .iter()
+            .map(|row| row[i].len())
+            .chain([HEADINGS[i].len()])
+            .max()
+            .unwrap_or(0)
+    });
+    let line = |cells: [&str; 8]| {
+        let cells = cells
+            .iter()
+            .zip(widths)
+            .map(|(cell, width)| format!("{cell:>width$}"));
+        cells.collect::<Vec<_>>().join("  ") + "\n"
+    };
+    let body = cells
+        .iter()
+        .map(|row| line(std::array::from_fn(|i| row[i].as_str())));
+    line(HEADINGS) + &body.collect::<String>()
+}
+
+/// What the page shows.
+#[derive(Debug)]
+pub struct Page<'p> {
+    /// The scene in words.
+    pub scene: &'p str,
+    /// M, window and so on in words.
+    pub setting: &'p str,
+    /// Picture files with their captions.
+    pub pictures: &'p [(String, String)],
+    /// The measured rows.
+    pub rows: &'p [Row],
+}
+
+impl Page<'_> {
+    /// The page as HTML that needs nothing but the files beside it.
+    #[must_use]
+    pub fn html(&self) -> String {
+        let mut html = format!(
+            "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\">\n\
+             <title>EECVS: {scene}</title>\n<style>\n\
+             body {{ font: 16px/1.5 sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em }}\n\
+             img {{ max-width: 100%; border: 1px solid #ccc }}\n\
+             table {{ border-collapse: collapse }}\n\
+             td, th {{ padding: .2em .8em; text-align: right; border-bottom: 1px solid #ccc }}\n\
+             </style>\n<h1>EECVS: {scene}</h1>\n<p>{setting}</p>\n",
+            scene = escape(self.scene),
+            setting = escape(self.setting),
+        );
+        for (file, caption) in self.pictures {
+            let (file, caption) = (escape(file), escape(caption));
+            let _ = writeln!(
+                html,
+                "<figure><img src=\"{file}\" alt=\"{caption}\">\
+                 <figcaption>{caption}</figcaption></figure>"
+            );
+        }
+        html += "<h2>Measured</h2>\n<table>\n<tr>";
+        for heading in HEADINGS {
+            let _ = write!(html, "<th>{heading}</th>");
+        }
+        html += "</tr>\n";
+        for row in self.rows {
+            html += "<tr>";
+            for cell in row.cells() {
+                let _ = write!(html, "<td>{}</td>", escape(&cell));
+            }
+            html += "</tr>\n";
+        }
+        html += "</table>\n<p>mse and ssim compare the signed event counts per pixel and window, \
+                 which the link carries exactly; the times are what the coefficients lose. \
+                 Mev/s is one thread of this machine.</p>\n</html>\n";
+        html
+    }
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('"', "&quot;")
+}
