@@ -2,12 +2,12 @@
 //!
 //! | type | bits 27..0 |
 //! |---|---|
-//! | 0 CD_OFF, 1 CD_ON | 27..22 time bits 5..0, 21..11 x, 10..0 y |
-//! | 8 TIME_HIGH | time bits 33..6 |
-//! | A EXT_TRIGGER, E OTHERS, F CONTINUED | skipped and counted |
+//! | 0 `CD_OFF`, 1 `CD_ON` | 27..22 time bits 5..0, 21..11 x, 10..0 y |
+//! | 8 `TIME_HIGH` | time bits 33..6 |
+//! | A `EXT_TRIGGER`, E OTHERS, F CONTINUED | skipped and counted |
 //!
 //! The 34 bits of time wrap after 4.8 hours; the wraps are carried. An event before the first
-//! TIME_HIGH has no time: it is counted and skipped. There is no maintained crate for EVT 2.0.
+//! `TIME_HIGH` has no time: it is counted and skipped. There is no maintained crate for EVT 2.0.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -46,7 +46,7 @@ impl Evt2Reader {
         let sensor = header.sensor_or(size, &input)?;
         Ok(Self::around(Evt2Decoder {
             input,
-            words: Words::new(),
+            words: Words::default(),
             sensor,
             camera: header.camera,
             high: Wrapping::new(TIME_HIGH_BITS, header.time_base_us >> TIME_LOW_BITS),
@@ -64,7 +64,7 @@ pub struct Evt2Decoder {
     sensor: Sensor,
     camera: Option<String>,
     high: Wrapping,
-    /// Time without its low bits; `None` before the first TIME_HIGH.
+    /// Time without its low bits; `None` before the first `TIME_HIGH`.
     time_us: Option<u64>,
     events: u64,
     skipped: Skipped,
