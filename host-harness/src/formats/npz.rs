@@ -10,7 +10,8 @@
 //!   the first 4,096 are whole and there are 16 different ones, or one of 1e10 and more.
 //! * p: 1 or true is on; 0, -1 or false is off.
 //!
-//! The arrays are read in step, one batch of each at a time.
+//! The arrays are read in step, one batch of each at a time. A wrong CRC-32 of one is an error
+//! after the last event; a truncated file has lost its directory and cannot be read at all.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
@@ -154,6 +155,13 @@ impl Decode for NpzDecoder {
             self.events += 1;
         }
         match ended {
+            // Where in the array the damage is nobody can tell, so the events are out by now.
+            None if count == 0 => match self.streams.iter().position(Stream::is_damaged) {
+                None => Ok(()),
+                Some(stream) => {
+                    Err(self.error(stream, "the array's CRC-32 is wrong: damaged data"))
+                }
+            },
             None => Ok(()),
             Some((stream, error)) => Err(self.error(stream, error)),
         }

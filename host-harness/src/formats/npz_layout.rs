@@ -79,6 +79,11 @@ impl Stream {
         (count, None)
     }
 
+    /// Whether the array has been read to its end and its CRC-32 is wrong.
+    pub fn is_damaged(&self) -> bool {
+        self.reader.is_damaged()
+    }
+
     /// A number of record `index`.
     pub fn number(&self, index: usize, field: Field) -> Option<Number> {
         field
@@ -357,7 +362,6 @@ impl NpzFile {
                     bytes: Vec::new(),
                 }),
                 Ok(_) => Err(self.error(&stream.entry, "the array is shorter than its shape")),
-                // An array of no elements ends with its header, where the CRC is checked.
                 Err(error) => Err(self.error(&stream.entry, error)),
             }
         };

@@ -8,6 +8,7 @@ use host_harness::formats::{self, EventReader};
 use proptest::prelude::*;
 
 /// Every extension that can be written, and a sensor that its format can hold.
+#[allow(dead_code, reason = "not every test file writes recordings")]
 pub const FORMATS: [(&str, Sensor); 8] = [
     (
         "aedat4",
@@ -101,6 +102,7 @@ pub fn events(sensor: Sensor, count: usize) -> impl Strategy<Value = Vec<Event>>
 }
 
 /// Writes events into `folder` and returns the file's bytes.
+#[allow(dead_code, reason = "not every test file writes recordings")]
 pub fn written(folder: &Path, extension: &str, sensor: Sensor, events: &[Event]) -> Vec<u8> {
     let path = folder.join(format!("events.{extension}"));
     let mut writer = formats::create(&path, sensor).expect("a known extension");
