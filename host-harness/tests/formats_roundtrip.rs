@@ -31,8 +31,8 @@ proptest! {
     fn the_evt3_crate_reads_our_evt3(events in events(Sensor { width: 640, height: 480 }, 200)) {
         let folder = tempfile::tempdir().expect("a folder");
         let sensor = Sensor { width: 640, height: 480 };
-        // The crate knows no time base beyond 24 bits: begin within them.
-        let base = events.first().map_or(0, |event| event.t_us) & !0xff_ffff;
+        // The crate knows no time base: begin where the wraps are written out.
+        let base = events.first().map_or(0, |event| event.t_us) & !0xffff_ffff;
         prop_assume!(events.iter().all(|event| event.t_us >= base));
         let shifted: Vec<Event> =
             events.iter().map(|event| Event { t_us: event.t_us - base, ..*event }).collect();
@@ -227,6 +227,8 @@ fn what_a_format_cannot_hold_is_refused_by_name() {
         );
     }
     for extension in ["raw", "evt2", "aedat"] {
+        let error = refused(&format!("s.{extension}"), &[at((1 << 62) + 5, 0)]);
+        assert!(error.contains("event 0"), "{error}");
         let error = refused(&format!("b.{extension}"), &[at(1 << 40, 0), at(1 << 39, 0)]);
         assert!(error.contains("event 1"), "{error}");
     }

@@ -129,8 +129,9 @@ impl Decode for Evt2Decoder {
 
 /// Writer of EVT 2.0 files.
 ///
-/// Holds any times up to 2^60 us (the header's `% time_base_us` carries what exceeds 34 bits),
-/// in any order as long as a reader can follow the wraps.
+/// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
+/// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
+/// `% time_base_us` carries what exceeds 34 bits, and other readers lose only that.
 pub struct Evt2Writer {
     file: BufWriter<File>,
     name: String,
@@ -157,7 +158,15 @@ impl Evt2Writer {
     }
 
     fn header(&mut self, first_us: u64) -> anyhow::Result<Wrapping> {
-        let high = Wrapping::new(TIME_HIGH_BITS, first_us >> TIME_LOW_BITS);
+        if first_us > Wrapping::START_MAX {
+            anyhow::bail!(super::time_refused(
+                &self.name,
+                self.events,
+                first_us,
+                "EVT 2.0"
+            ));
+        }
+        let high = Wrapping::from_zero(TIME_HIGH_BITS, first_us >> TIME_LOW_BITS);
         let base_us = high.base() << TIME_LOW_BITS;
         let text = RawHeader::text(raw_header::Words::Evt2, self.sensor, base_us);
         self.put(text.as_bytes())?;

@@ -206,8 +206,9 @@ impl Decode for Evt3Decoder {
 
 /// Writer of EVT 3.0 files; runs of three and more events in one row become vectors.
 ///
-/// Holds any times up to 2^60 us (the header's `% time_base_us` carries what exceeds 24 bits),
-/// in any order as long as a reader can follow the wraps.
+/// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
+/// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
+/// `% time_base_us` carries what exceeds 24 bits, and other readers lose only that.
 pub struct Evt3Writer {
     file: BufWriter<File>,
     name: String,
@@ -238,7 +239,15 @@ impl Evt3Writer {
     }
 
     fn header(&mut self, first_us: u64) -> anyhow::Result<Wrapping> {
-        let high = Wrapping::new(TIME_BITS, first_us >> TIME_BITS);
+        if first_us > Wrapping::START_MAX {
+            anyhow::bail!(super::time_refused(
+                &self.name,
+                self.events,
+                first_us,
+                "EVT 3.0"
+            ));
+        }
+        let high = Wrapping::from_zero(TIME_BITS, first_us >> TIME_BITS);
         let base_us = high.base() << TIME_BITS;
         let text = RawHeader::text(raw_header::Words::Evt3, self.sensor, base_us);
         self.put(text.as_bytes())?;
