@@ -113,7 +113,7 @@ impl Aedat2Reader {
         };
         Ok(Self::around(Aedat2Decoder {
             input,
-            words: Words::new(),
+            words: Words::default(),
             chip,
             time: Wrapping::new(32, time_base_us),
             events: 0,
@@ -246,7 +246,7 @@ fn is_header_line(line: &[u8]) -> bool {
 /// Guesses the chip: the addresses of a DVS128 stay below 2^16. The input stays where it is.
 fn chip_of_addresses(input: &mut Input) -> anyhow::Result<Chip> {
     let start = input.offset();
-    let mut words = Words::<8>::new();
+    let mut words = Words::<8>::default();
     let mut chip = Chip::Dvs128;
     for _ in 0..CHIP_WORDS {
         match words.next(input) {

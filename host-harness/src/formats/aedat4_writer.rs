@@ -153,7 +153,7 @@ impl EventWriter for Aedat4Writer {
 }
 
 /// The `IOHE` table with its size, packet table position -1: with no table yet, an interrupted
-/// file still reads. A FlatBuffer may be laid out in any order that its offsets allow; scalars
+/// file still reads. A `FlatBuffer` may be laid out in any order that its offsets allow; scalars
 /// of 8 bytes stand at multiples of 8 from the start of the size.
 fn io_header(sensor: Sensor) -> Vec<u8> {
     let Sensor { width, height } = sensor;

@@ -98,7 +98,7 @@ impl Decimal {
         self.digits == 0
             || 10_u64
                 .checked_pow(places)
-                .is_some_and(|p| self.digits % p == 0)
+                .is_some_and(|p| self.digits.is_multiple_of(p))
     }
 
     /// Whether the value is exactly -1.

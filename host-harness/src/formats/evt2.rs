@@ -2,12 +2,12 @@
 //!
 //! | type | bits 27..0 |
 //! |---|---|
-//! | 0 CD_OFF, 1 CD_ON | 27..22 time bits 5..0, 21..11 x, 10..0 y |
-//! | 8 TIME_HIGH | time bits 33..6 |
-//! | A EXT_TRIGGER, E OTHERS, F CONTINUED | skipped and counted |
+//! | 0 `CD_OFF`, 1 `CD_ON` | 27..22 time bits 5..0, 21..11 x, 10..0 y |
+//! | 8 `TIME_HIGH` | time bits 33..6 |
+//! | A `EXT_TRIGGER`, E OTHERS, F CONTINUED | skipped and counted |
 //!
 //! The 34 bits of time wrap after 4.8 hours; the wraps are carried. An event before the first
-//! TIME_HIGH has no time: it is counted and skipped. There is no maintained crate for EVT 2.0.
+//! `TIME_HIGH` has no time: it is counted and skipped. There is no maintained crate for EVT 2.0.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -46,7 +46,7 @@ impl Evt2Reader {
         let sensor = header.sensor_or(size, &input)?;
         Ok(Self::around(Evt2Decoder {
             input,
-            words: Words::new(),
+            words: Words::default(),
             sensor,
             camera: header.camera,
             high: Wrapping::new(TIME_HIGH_BITS, header.time_base_us >> TIME_LOW_BITS),
@@ -64,7 +64,7 @@ pub struct Evt2Decoder {
     sensor: Sensor,
     camera: Option<String>,
     high: Wrapping,
-    /// Time without its low bits; `None` before the first TIME_HIGH.
+    /// Time without its low bits; `None` before the first `TIME_HIGH`.
     time_us: Option<u64>,
     events: u64,
     skipped: Skipped,
@@ -129,8 +129,9 @@ impl Decode for Evt2Decoder {
 
 /// Writer of EVT 2.0 files.
 ///
-/// Holds any times up to 2^60 us (the header's `% time_base_us` carries what exceeds 34 bits),
-/// in any order as long as a reader can follow the wraps.
+/// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
+/// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
+/// `% time_base_us` carries what exceeds 34 bits, and other readers lose only that.
 pub struct Evt2Writer {
     file: BufWriter<File>,
     name: String,
@@ -157,7 +158,15 @@ impl Evt2Writer {
     }
 
     fn header(&mut self, first_us: u64) -> anyhow::Result<Wrapping> {
-        let high = Wrapping::new(TIME_HIGH_BITS, first_us >> TIME_LOW_BITS);
+        if first_us > Wrapping::START_MAX {
+            anyhow::bail!(super::time_refused(
+                &self.name,
+                self.events,
+                first_us,
+                "EVT 2.0"
+            ));
+        }
+        let high = Wrapping::from_zero(TIME_HIGH_BITS, first_us >> TIME_LOW_BITS);
         let base_us = high.base() << TIME_LOW_BITS;
         let text = RawHeader::text(raw_header::Words::Evt2, self.sensor, base_us);
         self.put(text.as_bytes())?;

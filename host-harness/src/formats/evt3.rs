@@ -2,18 +2,18 @@
 //!
 //! | type | bits 11..0 |
 //! |---|---|
-//! | 0 ADDR_Y | 10..0 y |
-//! | 2 ADDR_X | 11 polarity, 10..0 x: one event |
-//! | 3 VECT_BASE_X | 11 polarity, 10..0 first x of the vectors that follow |
-//! | 4 VECT_12, 5 VECT_8 | bit i: an event at x + i; then x advances by 12 or 8 |
-//! | 6 TIME_LOW, 8 TIME_HIGH | time bits 11..0, 23..12 |
-//! | A EXT_TRIGGER, 7 and F CONTINUED, E OTHERS | skipped and counted |
+//! | 0 `ADDR_Y` | 10..0 y |
+//! | 2 `ADDR_X` | 11 polarity, 10..0 x: one event |
+//! | 3 `VECT_BASE_X` | 11 polarity, 10..0 first x of the vectors that follow |
+//! | 4 `VECT_12`, 5 `VECT_8` | bit i: an event at x + i; then x advances by 12 or 8 |
+//! | 6 `TIME_LOW`, 8 `TIME_HIGH` | time bits 11..0, 23..12 |
+//! | A `EXT_TRIGGER`, 7 and F CONTINUED, E OTHERS | skipped and counted |
 //!
-//! TIME_HIGH alone carries the overflow: a TIME_LOW may step back by a few microseconds after a
-//! TIME_HIGH, and taking that for a wrap stretches a recording. A new TIME_HIGH value sets the
-//! low bits to 0 until TIME_LOW follows; a repeated one keeps them. The 24 bits of time wrap
-//! every 16.8 s; the wraps are carried. Events before the first TIME_HIGH have no time, those
-//! before the first ADDR_Y no row, vectors before the first VECT_BASE_X no column: they are
+//! `TIME_HIGH` alone carries the overflow: a `TIME_LOW` may step back by a few microseconds after a
+//! `TIME_HIGH`, and taking that for a wrap stretches a recording. A new `TIME_HIGH` value sets the
+//! low bits to 0 until `TIME_LOW` follows; a repeated one keeps them. The 24 bits of time wrap
+//! every 16.8 s; the wraps are carried. Events before the first `TIME_HIGH` have no time, those
+//! before the first `ADDR_Y` no row, vectors before the first `VECT_BASE_X` no column: they are
 //! counted and skipped.
 //!
 //! The crate `evt3` decodes the shared recordings alike, but its column counter overflows
@@ -66,7 +66,7 @@ impl Evt3Reader {
         let sensor = header.sensor_or(size, &input)?;
         Ok(Self::around(Evt3Decoder {
             input,
-            words: Words::new(),
+            words: Words::default(),
             sensor,
             camera: header.camera,
             high: Wrapping::new(TIME_BITS, header.time_base_us >> TIME_BITS),
@@ -85,7 +85,7 @@ pub struct Evt3Decoder {
     words: Words<2>,
     sensor: Sensor,
     camera: Option<String>,
-    /// Time bits 12 and up; without a value before the first TIME_HIGH.
+    /// Time bits 12 and up; without a value before the first `TIME_HIGH`.
     high: Wrapping,
     low: u16,
     y: Option<u16>,
@@ -206,8 +206,9 @@ impl Decode for Evt3Decoder {
 
 /// Writer of EVT 3.0 files; runs of three and more events in one row become vectors.
 ///
-/// Holds any times up to 2^60 us (the header's `% time_base_us` carries what exceeds 24 bits),
-/// in any order as long as a reader can follow the wraps.
+/// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
+/// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
+/// `% time_base_us` carries what exceeds 24 bits, and other readers lose only that.
 pub struct Evt3Writer {
     file: BufWriter<File>,
     name: String,
@@ -238,7 +239,15 @@ impl Evt3Writer {
     }
 
     fn header(&mut self, first_us: u64) -> anyhow::Result<Wrapping> {
-        let high = Wrapping::new(TIME_BITS, first_us >> TIME_BITS);
+        if first_us > Wrapping::START_MAX {
+            anyhow::bail!(super::time_refused(
+                &self.name,
+                self.events,
+                first_us,
+                "EVT 3.0"
+            ));
+        }
+        let high = Wrapping::from_zero(TIME_BITS, first_us >> TIME_BITS);
         let base_us = high.base() << TIME_BITS;
         let text = RawHeader::text(raw_header::Words::Evt3, self.sensor, base_us);
         self.put(text.as_bytes())?;
@@ -320,7 +329,7 @@ impl EventWriter for Evt3Writer {
     }
 }
 
-/// Number of events at the start of `events` that one VECT_12 can hold in their order (the same
+/// Number of events at the start of `events` that one `VECT_12` can hold in their order (the same
 /// time, row and polarity, x rising within 12 columns), and the vector's bits.
 fn run(events: &[Event]) -> (usize, u16) {
     let Some(first) = events.first() else {

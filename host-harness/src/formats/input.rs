@@ -86,7 +86,7 @@ impl Input {
     /// # Errors
     /// I/O.
     pub fn seek(&mut self, offset: u64) -> anyhow::Result<()> {
-        let moved = match i64::try_from(offset as i128 - self.offset as i128) {
+        let moved = match i64::try_from(i128::from(offset) - i128::from(self.offset)) {
             Ok(distance) => self.reader.seek_relative(distance),
             Err(_) => self.reader.seek(SeekFrom::Start(offset)).map(drop),
         };
@@ -269,10 +269,9 @@ pub struct Words<const N: usize> {
     filled: usize,
 }
 
-impl<const N: usize> Words<N> {
+impl<const N: usize> Default for Words<N> {
     /// No block read yet.
-    #[must_use]
-    pub fn new() -> Self {
+    fn default() -> Self {
         let whole_words = BUFFER_BYTES - BUFFER_BYTES % N;
         Self {
             bytes: vec![0; whole_words],
@@ -280,7 +279,9 @@ impl<const N: usize> Words<N> {
             filled: 0,
         }
     }
+}
 
+impl<const N: usize> Words<N> {
     /// The next word, or `None` at the end.
     ///
     /// # Errors

@@ -13,10 +13,12 @@ mod flatbuffer;
 pub mod input;
 mod npy_header;
 pub mod npz;
+mod npz_layout;
 mod npz_writer;
 pub mod raw_header;
 pub mod text;
 pub mod text_layout;
+mod text_writer;
 mod time_unit;
 mod wrapping;
 mod zip_entry;
@@ -37,7 +39,8 @@ use input::{Input, ReadSeek};
 use npz::NpzReader;
 pub use npz_writer::NpzWriter;
 use raw_header::{RawHeader, Words};
-use text::{TextReader, TextWriter};
+use text::TextReader;
+pub use text_writer::TextWriter;
 
 /// Events of one call of [`EventReader::read`], at the most (a reader may return fewer).
 pub const BATCH_EVENTS: usize = 1 << 14;
@@ -209,11 +212,15 @@ pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter
     )
 }
 
-/// Whether a file's first bytes may be lines of events: no control characters but separators.
+/// Whether a file may be lines of events: its first line is text without control characters but
+/// separators. What follows may be damaged, which the reader reports after the events before it.
 fn is_text(start: &[u8]) -> bool {
-    !start
-        .iter()
-        .any(|byte| byte.is_ascii_control() && !b"\t\r\n".contains(byte))
+    let first = start
+        .split(|byte| *byte == b'\n')
+        .next()
+        .unwrap_or_default();
+    let control = |byte: &u8| byte.is_ascii_control() && !b"\t\r".contains(byte);
+    std::str::from_utf8(first).is_ok() && !first.iter().any(control)
 }
 
 /// Opens `path` for writing; also returns its name for messages.

@@ -11,8 +11,8 @@
 //!    ignored. `x@320` and `y@240` give the size. A comment of such names counts as well.
 //! 5. Without names the order is the first of `t x y p`, `x y t p`, `x y p t`, `t p x y`,
 //!    `p t x y`, `p x y t` that fits the first 1,000 lines: see [`Layout::detect`].
-//! 6. Times without a fraction are microseconds. Decimals are seconds, unless all of the first
-//!    1,000 are whole and many or large: then they are whole microseconds in a float column.
+//! 6. Times without a fraction are microseconds. Where most of the first 1,000 times are written
+//!    as decimals, they are seconds, unless all of them are whole and many or large: then they are whole microseconds in a float column.
 //!    Decimals are parsed exactly and rounded to the nearest microsecond.
 //! 7. p is 1, true or on, or else 0, -1, false or off.
 //! 8. Where neither the file nor the caller knows the size, a first pass over the file finds the
@@ -21,18 +21,13 @@
 //! Parsing is our own: the formats have no quoting, and no CSV crate converts decimals to
 //! microseconds without a float.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::Path;
-
-use anyhow::Context;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
+use super::Skipped;
 use super::decimal::Decimal;
 use super::input::{Batch, Decode, Input, ReadSeek, Reader};
 pub use super::text_layout::Layout;
 use super::text_layout::{Header, Unit, polarity};
-use super::{EventWriter, Skipped, create_file};
 
 /// Longest line.
 const LINE_MAX: usize = 4096;
@@ -174,7 +169,14 @@ impl Start {
             data_line: 1,
             skipped: Skipped::default(),
         };
-        while start.sample.len() < SAMPLE_LINES && lines.advance()? {
+        while start.sample.len() < SAMPLE_LINES {
+            match lines.advance() {
+                Ok(true) => {}
+                Ok(false) => break,
+                // The reader will meet it again, after the events before it.
+                Err(_) if !start.sample.is_empty() => break,
+                Err(error) => return Err(error),
+            }
             let first_event = start.sample.is_empty();
             if lines.is_comment() {
                 if first_event {
@@ -354,65 +356,125 @@ impl Decode for TextDecoder {
     }
 }
 
-/// Writer of text files: `.csv` with the header `t,x,y,p` and commas, `.txt` with spaces and no
-/// header; times in whole microseconds, p 0 or 1. The sensor's size is not written.
-pub struct TextWriter {
-    file: BufWriter<File>,
-    name: String,
-    sensor: Sensor,
-    separator: char,
-    events: u64,
-}
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
 
-impl TextWriter {
-    /// Creates the file.
-    ///
-    /// # Errors
-    /// I/O.
-    pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (mut file, name) = create_file(path)?;
-        let csv = path
-            .extension()
-            .is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
-        if csv {
-            writeln!(file, "t,x,y,p").with_context(|| format!("{name}: cannot be written"))?;
-        }
-        Ok(Self {
-            file,
-            name,
-            sensor,
-            separator: if csv { ',' } else { ' ' },
-            events: 0,
-        })
-    }
-}
+    use super::super::EventReader;
+    use super::*;
 
-impl EventWriter for TextWriter {
-    fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
-        let s = self.separator;
-        for event in events {
-            super::check_inside(&self.name, self.events, event, self.sensor)?;
-            let Event {
-                t_us,
-                x,
-                y,
-                polarity,
-            } = event;
-            let (name, index) = (&self.name, self.events);
-            anyhow::ensure!(
-                i64::try_from(*t_us).is_ok(),
-                "{name}: event {index}: time {t_us} us is above 2^63 us"
-            );
-            writeln!(self.file, "{t_us}{s}{x}{s}{y}{s}{}", *polarity as u8)
-                .with_context(|| format!("{name}: cannot be written"))?;
-            self.events += 1;
-        }
-        Ok(())
+    fn read(text: &str) -> Result<(Sensor, Vec<Event>), String> {
+        let source = Box::new(Cursor::new(text.as_bytes().to_vec()));
+        let mut reader = TextReader::new(source, "test", None).map_err(|e| e.to_string())?;
+        let mut events = Vec::new();
+        while reader.read(&mut events).map_err(|e| e.to_string())? > 0 {}
+        Ok((reader.sensor(), events))
     }
 
-    fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
-        self.file
-            .flush()
-            .with_context(|| format!("{}: cannot be written", self.name))
+    #[test]
+    fn the_same_two_events_in_many_layouts() {
+        let event = |t_us, x, y, on| Event {
+            t_us,
+            x,
+            y,
+            polarity: Polarity::from_bool(on),
+        };
+        let want = [
+            event(1_500_000, 218, 15, true),
+            event(1_500_003, 9, 76, false),
+        ];
+        let sized = Sensor {
+            width: 240,
+            height: 180,
+        };
+        let found = Sensor {
+            width: 219,
+            height: 77,
+        };
+        let cases = [
+            ("1.500000000 218 15 1\n1.500003000 9 76 0\n", found),
+            ("1500000 218 15 1\n1500003 9 76 0", found),
+            ("1500000,218,15,1\r\n1500003,9,76,-1\r\n", found),
+            ("t;x;y;p\n1500000;218;15;1\n1500003;9;76;0\n", found),
+            (
+                "x y p timestamp\n218\t15\tTrue\t1500000\n9\t76\tFalse\t1500003\n",
+                found,
+            ),
+            ("218 15 1.5 1\n9 76 1.500003 0\n", found),
+            ("218 15 1 1500000\n9 76 0 1500003\n", found),
+            ("1500000 1 218 15\n1500003 0 9 76\n", found),
+            ("240 180\n1.5 218 15 1\n1.5000029999 9 76 0\n", sized),
+            (
+                "t,x@240,y@180,on\n1500000,218,15,1\n1500003,9,76,0\n",
+                sized,
+            ),
+            (
+                "# t x y p\n1500000 218 15 1\n\n# half\n1500003 9 76 0\n",
+                found,
+            ),
+            (
+                "id,t_ms,x,y,pol\n1,1500,218,15,on\n2,1500.003,9,76,off\n",
+                found,
+            ),
+            (
+                "t_ns,x,y,p\n1500000400,218,15,1\n1500002500,9,76,0\n",
+                found,
+            ),
+            (
+                "t,x,y,p\n1500000.0,218.0,15.0,1.0\n1.5000030e6,9.0,76.0,0.0\n",
+                found,
+            ),
+            ("\u{feff}t,x,y,p\n1.5,218,15,1\n1.500003,9,76,0\n", found),
+        ];
+        for (text, sensor) in cases {
+            // Two whole decimals are seconds: this one needs its unit.
+            let text = text.replacen("t,x,y,p\n1500000.0", "t_us,x,y,p\n1500000.0", 1);
+            assert_eq!(read(&text), Ok((sensor, want.to_vec())), "{text}");
+        }
+    }
+
+    #[test]
+    fn errors_name_line_and_event() {
+        let cases = [
+            (
+                "t,x,y,p\n1,2,3,1\n-4,2,3,1\n",
+                "line 3: event 1: the time is negative",
+            ),
+            (
+                "t,x,y,p\n1,2,3,1\n4,2,3\n",
+                "line 3: event 1: 3 fields instead of 4",
+            ),
+            (
+                "t,x,y,p\n1,2,3,1\n4,2,3,5\n",
+                "line 3: event 1: the polarity",
+            ),
+            ("t,x,y,p\n1,2,3,1\n4,2,-3,1\n", "line 3: event 1: x and y"),
+            (
+                "4 4\n1 2 3 1\n2 4 0 1\n",
+                "line 3: event 1: x = 4, y = 0 is outside",
+            ),
+            (
+                "t,x,y,p\n1,2,3,1\n1,2,3,1\n1.5,2,3,1\n",
+                "line 4: event 2: a time with a fraction",
+            ),
+            ("9 2 3 4\n5 6 7 8\n", "the order of the columns is unclear"),
+            ("hello world\n", "no events and no column names"),
+            ("t,x,y,p\n", "no event, so no sensor size"),
+        ];
+        for (text, want) in cases {
+            let error = read(text).expect_err(text);
+            assert!(error.contains(want) && error.contains("byte "), "{error}");
+        }
+    }
+
+    #[test]
+    fn rising_times_tell_the_order() {
+        let lines = |order: fn(u32) -> String| (0..40).map(order).collect::<String>();
+        // Every column is below 2048, so only the times tell.
+        let xytp = lines(|i| format!("{} {} {} {}\n", i * 37 % 300, i * 91 % 200, i * 9, i % 2));
+        let (_, events) = read(&xytp).expect("events");
+        assert_eq!((events[1].t_us, events[1].x, events[1].y), (9, 37, 91));
+        let txyp = lines(|i| format!("{} {} {} {}\n", i * 9, i * 37 % 300, i * 91 % 200, i % 2));
+        assert_eq!(read(&txyp).expect("events").1, events);
     }
 }

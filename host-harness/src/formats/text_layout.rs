@@ -182,10 +182,26 @@ impl Layout {
     fn from_numbers(lines: &[Vec<&[u8]>], sensor: Option<Sensor>) -> Result<Self, &'static str> {
         const UNCLEAR: &str = "the order of the columns is unclear: add a first line such as \
                                t,x,y,p that names them";
-        if lines.iter().any(|line| line.len() != 4) {
-            return Err("a line without the four numbers of an event");
+        // Damage further on must not decide: only lines that some order fits count. The reader
+        // will meet the damaged line.
+        let mut orders: Vec<&[Field; 4]> = ORDERS.iter().collect();
+        let mut whole = lines;
+        for (index, line) in lines.iter().enumerate() {
+            let fitting: Vec<_> = orders
+                .iter()
+                .filter(|order| fits(order, line, sensor))
+                .copied()
+                .collect();
+            if fitting.is_empty() {
+                if index == 0 {
+                    return Err(UNCLEAR);
+                }
+                whole = lines.get(..index).unwrap_or_default();
+                break;
+            }
+            orders = fitting;
         }
-        let fits = |order: &&[Field; 4]| lines.iter().all(|line| fits(order, line, sensor));
+        let lines = whole;
         let fraction = |column: usize| {
             lines.iter().any(|line| {
                 let number = line.get(column).and_then(|field| Decimal::parse(field));
@@ -193,9 +209,8 @@ impl Layout {
             })
         };
         let fractions: Vec<usize> = (0..4).filter(|column| fraction(*column)).collect();
-        let candidates: Vec<Self> = ORDERS
-            .iter()
-            .filter(fits)
+        let candidates: Vec<Self> = orders
+            .into_iter()
             .map(Self::of_order)
             .filter(|layout| fractions.iter().all(|column| *column == layout.t))
             .collect();
@@ -223,24 +238,25 @@ impl Layout {
 }
 
 fn fits(order: &[Field; 4], line: &[&[u8]], sensor: Option<Sensor>) -> bool {
-    order.iter().zip(line).all(|(field, text)| match field {
-        Field::P => polarity(text).is_some(),
-        Field::T => Decimal::parse(text).is_some(),
-        Field::X | Field::Y => {
-            let side = match (sensor, field) {
-                (Some(sensor), Field::X) => sensor.width,
-                (Some(sensor), _) => sensor.height,
-                (None, _) => Sensor::SIDE_MAX,
-            };
-            let number = Decimal::parse(text).and_then(Decimal::whole);
-            number.is_some_and(|number| number < u64::from(side))
-        }
-    })
+    line.len() == order.len()
+        && order.iter().zip(line).all(|(field, text)| match field {
+            Field::P => polarity(text).is_some(),
+            Field::T => Decimal::parse(text).is_some(),
+            Field::X | Field::Y => {
+                let side = match (sensor, field) {
+                    (Some(sensor), Field::X) => sensor.width,
+                    (Some(sensor), _) => sensor.height,
+                    (None, _) => Sensor::SIDE_MAX,
+                };
+                let number = Decimal::parse(text).and_then(Decimal::whole);
+                number.is_some_and(|number| number < u64::from(side))
+            }
+        })
 }
 
 /// Whether the times in `column` never fall and differ, over enough lines to tell.
 fn rises(lines: &[Vec<&[u8]>], column: usize) -> bool {
-    // Nanoseconds of seconds: only an order of numbers is wanted here.
+    // The unit does not matter here, only the order of the numbers.
     let times: Option<Vec<u64>> = lines
         .iter()
         .map(|line| Decimal::parse(line.get(column)?)?.scaled(6).ok())
@@ -252,7 +268,7 @@ fn rises(lines: &[Vec<&[u8]>], column: usize) -> bool {
 
 fn unit_of(lines: &[Vec<&[u8]>], column: usize) -> Unit {
     let mut sample = TimeSample::default();
-    let mut fractional = false;
+    let mut fractional = 0;
     for field in lines.iter().filter_map(|line| line.get(column)) {
         let Some(number) = Decimal::parse(field) else {
             continue;
@@ -261,9 +277,10 @@ fn unit_of(lines: &[Vec<&[u8]>], column: usize) -> Unit {
             .ok()
             .and_then(|text| text.parse().ok());
         sample.add(number.is_whole(), value.unwrap_or(0.0));
-        fractional |= number.fractional;
+        fractional += usize::from(number.fractional);
     }
-    match (fractional, sample.seconds()) {
+    // Most of them: Python prints some seconds as 0, and damage must not decide.
+    match (2 * fractional > lines.len(), sample.seconds()) {
         (true, true) => Unit::Shift(6),
         (true, false) => Unit::Shift(0),
         (false, _) => Unit::Whole,

@@ -19,7 +19,10 @@ impl Wrapping {
     /// Largest start of [`Wrapping::new`]: leaves room for every wrap that a file can hold.
     pub const START_MAX: u64 = 1 << 60;
 
-    /// Steps that [`Wrapping::step`] may need for one gap; a longer gap is refused.
+    /// Wraps that [`Wrapping::from_zero`] writes: 19 hours of EVT 3, in 24 kB.
+    const WRITTEN_PERIODS_MAX: u64 = 1 << 12;
+
+    /// Periods that [`Wrapping::step`] may cross in one gap; a longer gap is refused.
     const GAP_PERIODS_MAX: u64 = 1 << 16;
 
     /// A counter of `bits` (1 to 32) bits whose first value lies in the period that holds `start`.
@@ -31,6 +34,17 @@ impl Wrapping {
             base: start - start % period,
             last: None,
         }
+    }
+
+    /// A counter that reaches `start` by wraps from 0 where these are few enough to be written,
+    /// so that any reader knows the absolute time; else one whose first period holds `start`,
+    /// which a file's header must tell.
+    pub fn from_zero(bits: u32, start: u64) -> Self {
+        let mut counter = Self::new(bits, start);
+        if counter.base > 0 && counter.base / counter.period <= Self::WRITTEN_PERIODS_MAX {
+            counter.base = 0;
+        }
+        counter
     }
 
     /// Start of the period of the latest value.
@@ -69,7 +83,8 @@ impl Wrapping {
     /// A wrap is written as the period's last value and then 0, which every known decoder takes.
     pub fn step(&mut self, target: u64) -> Option<u64> {
         let next = match self.last {
-            None => target,
+            None if target - target % self.period == self.base => target,
+            None => self.base,
             Some(last) if target <= last => target,
             Some(last) => {
                 if (target - last) / self.period > Self::GAP_PERIODS_MAX {
@@ -103,6 +118,17 @@ mod tests {
     fn before_the_first_period_nothing_is_unwrapped() {
         let mut counter = Wrapping::new(12, 0);
         assert_eq!([0, 4095].map(|low| counter.extend(low)), [0, 4095]);
+    }
+
+    #[test]
+    fn few_wraps_are_written_from_zero() {
+        let mut writer = Wrapping::from_zero(12, 3 * 4096 + 7);
+        let mut reader = Wrapping::new(12, 0);
+        while writer.last() != Some(3 * 4096 + 7) {
+            let next = writer.step(3 * 4096 + 7).expect("a way leads there");
+            assert_eq!(reader.extend(next % 4096), next);
+        }
+        assert_eq!(Wrapping::from_zero(12, (1 << 40) + 7).base(), 1 << 40);
     }
 
     #[test]

@@ -129,12 +129,19 @@ enum Data {
     Deflated(Box<DeflateDecoder<BufReader<Section>>>),
 }
 
-/// The bytes of an entry; checks size and CRC-32 when it reaches the end.
+/// The bytes of an entry; [`EntryReader::is_damaged`] judges them at the end.
 pub struct EntryReader {
     data: Data,
     crc: Crc,
     want: u32,
     left: u64,
+}
+
+impl EntryReader {
+    /// Whether every byte has been read and the CRC-32 says that some of them are wrong.
+    pub fn is_damaged(&self) -> bool {
+        self.left == 0 && self.crc.sum() != self.want
+    }
 }
 
 impl Read for EntryReader {
@@ -158,11 +165,6 @@ impl Read for EntryReader {
         }
         self.crc.update(bytes.get(..read).unwrap_or_default());
         self.left -= read as u64;
-        if self.left == 0 && self.crc.sum() != self.want {
-            return Err(io::Error::other(
-                "the entry's CRC-32 is wrong: damaged data",
-            ));
-        }
         Ok(read)
     }
 }

@@ -1,0 +1,44 @@
+//! What every reader's fuzz target does with its reader.
+
+use std::io::Cursor;
+
+use eecvs_nostd::{Event, Sensor};
+use host_harness::formats::input::ReadSeek;
+use host_harness::formats::{BATCH_EVENTS, EventReader};
+
+/// Size for files that name none; the first bit of the input's length decides whether it is known.
+pub fn size(data: &[u8]) -> Option<Sensor> {
+    (data.len() % 2 == 1).then_some(Sensor {
+        width: 640,
+        height: 480,
+    })
+}
+
+/// The input as a file.
+pub fn source(data: &[u8]) -> Box<dyn ReadSeek> {
+    Box::new(Cursor::new(data.to_vec()))
+}
+
+/// Reads to the end or to an error, and checks what a reader promises.
+pub fn drain<R: EventReader>(opened: Result<R, impl Sized>) {
+    let Ok(mut reader) = opened else { return };
+    let sensor = reader.sensor();
+    let mut events: Vec<Event> = Vec::new();
+    loop {
+        events.clear();
+        match reader.read(&mut events) {
+            Ok(0) => break,
+            Ok(read) => {
+                assert_eq!(read, events.len());
+                assert!(read <= BATCH_EVENTS);
+                assert!(events.iter().all(|event| sensor.contains(event.x, event.y)));
+            }
+            Err(error) => {
+                assert!(events.is_empty());
+                assert!(error.to_string().contains("byte "));
+                assert!(matches!(reader.read(&mut events), Ok(0)));
+                break;
+            }
+        }
+    }
+}

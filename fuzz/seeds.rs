@@ -1,0 +1,115 @@
+//! Writes the small recordings in fuzz/seeds/ from which fuzzing starts: `cargo run --bin seeds`.
+
+use std::path::Path;
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+use host_harness::formats;
+
+const SEEDS: [(&str, &str, Sensor); 8] = [
+    (
+        "read_aedat4",
+        "events.aedat4",
+        Sensor {
+            width: 346,
+            height: 260,
+        },
+    ),
+    (
+        "read_aedat2",
+        "dvs128.aedat",
+        Sensor {
+            width: 128,
+            height: 128,
+        },
+    ),
+    (
+        "read_aedat2",
+        "davis240c.aedat",
+        Sensor {
+            width: 240,
+            height: 180,
+        },
+    ),
+    (
+        "read_evt2",
+        "events.evt2",
+        Sensor {
+            width: 640,
+            height: 480,
+        },
+    ),
+    (
+        "read_evt3",
+        "events.raw",
+        Sensor {
+            width: 640,
+            height: 480,
+        },
+    ),
+    (
+        "read_text",
+        "events.csv",
+        Sensor {
+            width: 64,
+            height: 64,
+        },
+    ),
+    (
+        "read_text",
+        "events.txt",
+        Sensor {
+            width: 64,
+            height: 64,
+        },
+    ),
+    (
+        "read_npz",
+        "events.npz",
+        Sensor {
+            width: 64,
+            height: 64,
+        },
+    ),
+];
+
+fn main() -> anyhow::Result<()> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("seeds");
+    for (target, name, sensor) in SEEDS {
+        let folder = root.join(target);
+        std::fs::create_dir_all(&folder)?;
+        let events: Vec<Event> = (0..24)
+            .map(|i| Event {
+                t_us: 16_777_200 + u64::from(i / 4) * 9,
+                x: 10 + i % 4 * 2,
+                y: 20 + i / 8,
+                polarity: Polarity::from_bool(i % 8 < 4),
+            })
+            .collect();
+        let mut writer = formats::create(&folder.join(name), sensor)?;
+        writer.write(&events)?;
+        writer.finish()?;
+    }
+    uncompressed(&root.join("read_aedat4"))
+}
+
+/// Checksums of compressed packets would stop the fuzzer: the same events in a plain packet.
+fn uncompressed(folder: &Path) -> anyhow::Result<()> {
+    let lz4 = std::fs::read(folder.join("events.aedat4"))?;
+    let number = |at: usize| -> anyhow::Result<usize> {
+        let bytes = lz4.get(at..).and_then(|rest| rest.first_chunk()).copied();
+        Ok(u32::from_le_bytes(bytes.unwrap_or_default()) as usize)
+    };
+    let packet = 18 + number(14)?;
+    let size = number(packet + 4)?;
+    let mut content = Vec::new();
+    let mut frame = lz4_flex::frame::FrameDecoder::new(&lz4[packet + 8..packet + 8 + size]);
+    std::io::copy(&mut frame, &mut content)?;
+    let mut plain = lz4[..packet].to_vec();
+    plain[46..50].fill(0);
+    plain[54..62].fill(0xff);
+    plain.extend_from_slice(&lz4[packet..packet + 4]);
+    plain.extend_from_slice(&(content.len() as u32).to_le_bytes());
+    plain.extend_from_slice(&content);
+    std::fs::write(folder.join("plain.aedat4"), plain)?;
+    Ok(())
+}

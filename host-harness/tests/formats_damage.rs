@@ -1,0 +1,174 @@
+//! Truncated and damaged recordings: the events before the damage, then an error that names the
+//! offset, or a clean end; never a panic.
+
+mod support;
+
+use std::path::Path;
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+use support::{FORMATS, read, written};
+
+const EVENTS: u32 = 3000;
+
+fn recordings() -> impl Iterator<Item = (&'static str, Sensor, Vec<Event>, Vec<u8>)> {
+    FORMATS.into_iter().map(|(extension, sensor)| {
+        let mut state = 1_u32;
+        let mut random = |below: u16| {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            ((state >> 16) % u32::from(below)) as u16
+        };
+        let events: Vec<Event> = (0..EVENTS)
+            .map(|i| Event {
+                t_us: 77_000_000 + u64::from(i) * 300,
+                x: random(sensor.width),
+                y: random(sensor.height),
+                polarity: Polarity::from_bool(random(2) == 1),
+            })
+            .collect();
+        let folder = tempfile::tempdir().expect("a folder");
+        let bytes = written(folder.path(), extension, sensor, &events);
+        (extension, sensor, events, bytes)
+    })
+}
+
+fn check_error(extension: &str, error: Option<&anyhow::Error>) {
+    if let Some(error) = error {
+        let text = format!("{error:#}");
+        assert!(text.contains("byte "), "{extension}: no offset in {text:?}");
+        assert!(
+            !text.contains('\n'),
+            "{extension}: more than a line: {text:?}"
+        );
+    }
+}
+
+#[test]
+fn truncated_anywhere() {
+    for (extension, sensor, events, bytes) in recordings() {
+        let mut errors = 0;
+        let mut most = 0;
+        let step = bytes.len() / 400 + 1;
+        for length in (0..bytes.len())
+            .step_by(step)
+            .chain(bytes.len() - 40..bytes.len())
+        {
+            let (got, error) = read(&bytes[..length], Some(sensor));
+            check_error(extension, error.as_ref());
+            assert!(
+                events.starts_with(&got),
+                "{extension}: other events of {length} bytes"
+            );
+            errors += u32::from(error.is_some());
+            most = most.max(got.len());
+            // A zip file's directory and an LZ4 frame's checksum stand at their ends.
+            if !matches!(extension, "npz" | "aedat4") && length > bytes.len() / 2 {
+                assert!(
+                    got.len() > 1000,
+                    "{extension}: {} events of {length} bytes",
+                    got.len()
+                );
+            }
+        }
+        assert!(errors > 0, "{extension}: no truncation was noticed");
+        assert!(
+            extension == "npz" || most >= EVENTS as usize - 24,
+            "{extension}: {most}"
+        );
+    }
+}
+
+#[test]
+fn flipped_bytes() {
+    for (extension, sensor, events, bytes) in recordings() {
+        let mut noticed = 0;
+        let step = bytes.len() / 600 + 1;
+        for (index, at) in (0..bytes.len()).step_by(step).chain(0..200).enumerate() {
+            for flip in [0xff, 1 << (index % 8)] {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= flip;
+                let (got, error) = read(&damaged, Some(sensor));
+                check_error(extension, error.as_ref());
+                noticed += u32::from(error.is_some() || got != events);
+                // Formats of fixed words: what was decoded before the damage is right.
+                if matches!(extension, "aedat" | "evt2.raw" | "csv" | "txt") && at > 1000 {
+                    let same = got.iter().zip(&events).take_while(|(a, b)| a == b).count();
+                    let before = (at - 1000) * events.len() / bytes.len() / 2;
+                    assert!(
+                        same >= before,
+                        "{extension}: {same} events before byte {at}"
+                    );
+                }
+            }
+        }
+        assert!(noticed > 0, "{extension}");
+    }
+}
+
+#[test]
+fn nonsense_is_no_recording() {
+    let magics: [&[u8]; 8] = [
+        b"",
+        b"#!AER-DAT4.0\r\n",
+        b"#!AER-DAT2.0\r\n",
+        b"% evt 2.0\n",
+        b"% evt 3.0\n",
+        b"t,x,y,p\n",
+        b"PK\x03\x04",
+        b"240 180\n",
+    ];
+    for magic in magics {
+        for tail in [
+            vec![],
+            vec![0; 3],
+            vec![0xff; 1000],
+            (0..=255).collect::<Vec<u8>>(),
+        ] {
+            let bytes = [magic, &tail].concat();
+            let (_, error) = read(&bytes, None);
+            check_error("nonsense", error.as_ref());
+        }
+    }
+    for (bytes, word) in [
+        (&b"#!AER-DAT3.1\r\n"[..], "AEDAT"),
+        (b"% evt 2.1\n% end\n", "EVT 2.1"),
+        (b"\x89HDF\r\n\x1a\n", "known format"),
+        (b"", "empty"),
+        (b"#!AER-DAT2.0\r\n# AEChip: x.DAVIS346B\r\n", "DAVIS346B"),
+    ] {
+        let error = read(bytes, None).1.expect("no recording").to_string();
+        assert!(error.contains(word), "{error}");
+    }
+}
+
+/// Real recordings hold what our writers do not: frames, triggers, big headers.
+#[test]
+fn truncated_real_recordings() {
+    let shared = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data"));
+    for file in [
+        "davis346_building_dense/davis.aedat4",
+        "davis240_boxes_moderate/IMU_translBoxes.aedat",
+        "gen3_vga_dense_evt2/evt2.raw",
+        "derived_layouts/davis346_building_xytp.npz",
+        "derived_layouts/davis346_building_txyp.txt",
+    ] {
+        let Ok(bytes) = std::fs::read(shared.join(file)) else {
+            eprintln!("skipped: {file} is absent");
+            continue;
+        };
+        let (whole, error) = read(&bytes, None);
+        assert!(error.is_none(), "{file}: {error:?}");
+        let size = Some(Sensor {
+            width: 640,
+            height: 480,
+        });
+        for part in 0..40 {
+            let length = bytes.len() * part / 40 + part;
+            let (got, error) = read(&bytes[..length], size);
+            check_error(file, error.as_ref());
+            assert!(
+                whole.starts_with(&got),
+                "{file}: other events of {length} bytes"
+            );
+        }
+    }
+}

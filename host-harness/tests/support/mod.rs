@@ -1,0 +1,146 @@
+//! Events for the format tests, and a way to read them back.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+use host_harness::formats::{self, EventReader};
+use proptest::prelude::*;
+
+/// Every extension that can be written, and a sensor that its format can hold.
+#[allow(dead_code, reason = "not every test file writes recordings")]
+pub const FORMATS: [(&str, Sensor); 8] = [
+    (
+        "aedat4",
+        Sensor {
+            width: 346,
+            height: 260,
+        },
+    ),
+    (
+        "aedat",
+        Sensor {
+            width: 128,
+            height: 128,
+        },
+    ),
+    (
+        "aedat",
+        Sensor {
+            width: 240,
+            height: 180,
+        },
+    ),
+    (
+        "evt2.raw",
+        Sensor {
+            width: 640,
+            height: 480,
+        },
+    ),
+    (
+        "raw",
+        Sensor {
+            width: 1280,
+            height: 720,
+        },
+    ),
+    (
+        "csv",
+        Sensor {
+            width: 2048,
+            height: 2048,
+        },
+    ),
+    (
+        "txt",
+        Sensor {
+            width: 34,
+            height: 34,
+        },
+    ),
+    (
+        "npz",
+        Sensor {
+            width: 320,
+            height: 240,
+        },
+    ),
+];
+
+/// Events that begin at any time, with duplicates, equal times, small steps back, both
+/// polarities, rows of neighbours, and gaps that make short time fields wrap.
+#[allow(dead_code, reason = "not every test file generates events")]
+pub fn events(sensor: Sensor, count: usize) -> impl Strategy<Value = Vec<Event>> {
+    let step = prop_oneof![
+        4 => Just(0_i64),
+        4 => 0..100_i64,
+        2 => -2_000..10_000_i64,
+        1 => 0..40_000_000_i64,
+    ];
+    let pixel = (0..sensor.width, 0..sensor.height, any::<bool>(), 1..14_u16);
+    let start = prop_oneof![Just(0_u64), 0..1_u64 << 33, Just(1_633_953_690_975_950)];
+    (start, prop::collection::vec((step, pixel), 0..count)).prop_map(move |(start, steps)| {
+        let mut t_us = start;
+        let mut events = Vec::new();
+        for (step, (x, y, on, run)) in steps {
+            t_us = t_us.saturating_add_signed(step);
+            let polarity = Polarity::from_bool(on);
+            // A run of 13 is a duplicate; longer neighbourhoods are rows.
+            for i in 0..run {
+                let x = if run == 13 { x } else { (x + i) % sensor.width };
+                events.push(Event {
+                    t_us,
+                    x,
+                    y,
+                    polarity,
+                });
+            }
+        }
+        events
+    })
+}
+
+/// Writes events into `folder` and returns the file's bytes.
+#[allow(dead_code, reason = "not every test file writes recordings")]
+pub fn written(folder: &Path, extension: &str, sensor: Sensor, events: &[Event]) -> Vec<u8> {
+    let path = folder.join(format!("events.{extension}"));
+    let mut writer = formats::create(&path, sensor).expect("a known extension");
+    // Uneven pieces: a writer must not depend on how the events arrive.
+    for piece in events.chunks(777) {
+        writer.write(piece).expect("events that the format holds");
+    }
+    writer.finish().expect("a finished file");
+    std::fs::read(&path).expect("the written file")
+}
+
+/// Reads until the end or an error.
+pub fn drain(reader: &mut dyn EventReader) -> (Vec<Event>, Option<anyhow::Error>) {
+    let mut events = Vec::new();
+    loop {
+        let before = events.len();
+        match reader.read(&mut events) {
+            Ok(0) => return (events, None),
+            Ok(read) => {
+                assert_eq!(events.len() - before, read);
+                assert!(read <= formats::BATCH_EVENTS);
+            }
+            Err(error) => {
+                assert_eq!(events.len(), before, "an error must not come with events");
+                assert!(
+                    matches!(reader.read(&mut events), Ok(0)),
+                    "an error is the end"
+                );
+                return (events, Some(error));
+            }
+        }
+    }
+}
+
+/// Opens bytes and reads them; an error of opening counts as an error before the first event.
+pub fn read(bytes: &[u8], size: Option<Sensor>) -> (Vec<Event>, Option<anyhow::Error>) {
+    match formats::open_source(Box::new(Cursor::new(bytes.to_vec())), "test", size) {
+        Ok(mut reader) => drain(reader.as_mut()),
+        Err(error) => (Vec::new(), Some(error)),
+    }
+}
