@@ -2,7 +2,10 @@
 
 use std::path::Path;
 
-use eecvs_nostd::{Event, Polarity, Sensor};
+use eecvs_nostd::{
+    Config, Encoder, Event, Polarity, Push, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+};
+use host_harness::encode::HostStorage;
 use host_harness::formats;
 
 const SEEDS: [(&str, &str, Sensor); 8] = [
@@ -72,24 +75,75 @@ const SEEDS: [(&str, &str, Sensor); 8] = [
     ),
 ];
 
+/// Events of one short window.
+fn events() -> Vec<Event> {
+    (0..24)
+        .map(|i| Event {
+            t_us: 16_777_200 + u64::from(i / 4) * 9,
+            x: 10 + i % 4 * 2,
+            y: 20 + i / 8,
+            polarity: Polarity::from_bool(i % 8 < 4),
+        })
+        .collect()
+}
+
 fn main() -> anyhow::Result<()> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("seeds");
     for (target, name, sensor) in SEEDS {
         let folder = root.join(target);
         std::fs::create_dir_all(&folder)?;
-        let events: Vec<Event> = (0..24)
-            .map(|i| Event {
-                t_us: 16_777_200 + u64::from(i / 4) * 9,
-                x: 10 + i % 4 * 2,
-                y: 20 + i / 8,
-                polarity: Polarity::from_bool(i % 8 < 4),
-            })
-            .collect();
+        let events = events();
         let mut writer = formats::create(&folder.join(name), sensor)?;
         writer.write(&events)?;
         writer.finish()?;
     }
+    frames(&root.join("frames"))?;
     uncompressed(&root.join("read_aedat4"))
+}
+
+/// A file of frames for each transform, three windows each.
+fn frames(folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    let sensor = Sensor {
+        width: 64,
+        height: 64,
+    };
+    for transform in Transform::ALL {
+        let config = Config {
+            window: WindowConfig {
+                sensor,
+                window_us: 20,
+            },
+            thresholds: Thresholds::new(0, 0).unwrap_or_else(|| unreachable!("in order")),
+            transform: Some(transform),
+            m: 8,
+            grid: None,
+            quantiser: Quantiser::DEFAULT,
+        };
+        let mut storage = HostStorage::new(sensor, 100);
+        let mut encoder = storage.encoder(config)?;
+        let mut out = vec![0; 4096];
+        let mut bytes = Vec::new();
+        let mut events = events().into_iter();
+        let mut next = events.next();
+        while let Some(event) = next {
+            if encoder.push(event) == Push::Closed {
+                take(&mut encoder, &mut out, &mut bytes);
+            } else {
+                next = events.next();
+            }
+        }
+        encoder.flush();
+        take(&mut encoder, &mut out, &mut bytes);
+        std::fs::write(folder.join(format!("{}.eecvs", transform.name())), bytes)?;
+    }
+    Ok(())
+}
+
+fn take(encoder: &mut Encoder<'_>, out: &mut [u8], bytes: &mut Vec<u8>) {
+    while let Ok(Some(encoded)) = encoder.next_frame(out) {
+        bytes.extend_from_slice(&out[encoded.range]);
+    }
 }
 
 /// Checksums of compressed packets would stop the fuzzer: the same events in a plain packet.

@@ -107,7 +107,7 @@ impl Packing {
         let growth = events.ilog2() as i32 / 2;
         let steps = match self.transform {
             Transform::Dct | Transform::Dtft => -i32::from(self.quantiser.step_log2()),
-            Transform::Dwt => -i32::from(self.quantiser.step_log2()).min(0),
+            Transform::Dwt => -(i32::from(self.quantiser.step_log2()).max(0)),
         };
         (steps + growth).clamp(0, 31) as u32
     }
@@ -190,9 +190,12 @@ impl Packing {
         }
         let bits = self.rice_bits(descriptor.events());
         for level in levels.iter().filter(|level| level.k > 0) {
-            writer.put_rice(level.re, bits)?;
             if self.transform.is_complex() {
+                writer.put_rice(level.re, bits)?;
                 writer.put_rice(level.im, bits)?;
+            } else {
+                // Never 0, so the positive values move down to it.
+                writer.put_rice(level.re - i32::from(level.re > 0), bits)?;
             }
         }
         Ok(())
@@ -303,12 +306,18 @@ impl Packing {
                 self.level_zero(descriptor.on, descriptor.off)
             } else {
                 let re = reader.get_rice(bits)?;
-                let im = if self.transform.is_complex() {
-                    reader.get_rice(bits)?
+                if self.transform.is_complex() {
+                    Level {
+                        k,
+                        re,
+                        im: reader.get_rice(bits)?,
+                    }
                 } else {
-                    0
-                };
-                Level { k, re, im }
+                    let re = re
+                        .checked_add(i32::from(re >= 0))
+                        .ok_or(UnpackError::Levels)?;
+                    Level { k, re, im: 0 }
+                }
             };
             if (level.re, level.im) == (0, 0) {
                 return Err(UnpackError::Levels);

@@ -1,0 +1,66 @@
+//! Any events under any configuration: every event is accounted for, every frame parses and
+//! unpacks.
+#![no_main]
+
+use eecvs_nostd::{
+    Config, Event, Frame, Polarity, Push, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+};
+use host_harness::encode::HostStorage;
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|data: &[u8]| {
+    let [m, grid, transform, step, window, capacity, words @ ..] = data else {
+        return;
+    };
+    let sensor = Sensor {
+        width: 70,
+        height: 5,
+    };
+    let config = Config {
+        window: WindowConfig {
+            sensor,
+            window_us: 1 << (*window % 32),
+        },
+        thresholds: Thresholds::new(1 << 40, 1 << 43).expect("in order"),
+        transform: Transform::from_code(*transform % 4),
+        m: 1 + *m % 64,
+        grid: (*grid > 0).then_some(u16::from(*grid)),
+        quantiser: Quantiser::new((*step % 24) as i8 - 15).expect("-15 to 8"),
+    };
+    let mut storage = HostStorage::new(sensor, 1 + usize::from(*capacity));
+    let mut encoder = storage.encoder(config).expect("a valid configuration");
+    let mut out = vec![0; eecvs_nostd::OUTPUT_BYTES_MIN];
+    let mut accounted = 0;
+    let mut frames = |encoder: &mut eecvs_nostd::Encoder<'_>| {
+        while let Some(encoded) = encoder.next_frame(&mut out).expect("room for a frame") {
+            let frame = Frame::parse(&out[encoded.range]).expect("a whole frame");
+            let mut events = 0;
+            for descriptor in frame.descriptors() {
+                events += descriptor.expect("the encoder's own payload").events();
+            }
+            let header = frame.header;
+            assert_eq!(events, header.events);
+            accounted += events + header.late + header.filtered + header.dropped;
+        }
+    };
+    let mut t_us = 1_u64 << 33;
+    let mut pushed = 0;
+    for word in words.chunks_exact(4) {
+        // Steps of either sign over many magnitudes.
+        let step = i64::from(i16::from_le_bytes([word[0], word[1]])) << (word[3] % 16);
+        t_us = t_us.saturating_add_signed(step);
+        let event = Event {
+            t_us,
+            x: u16::from(word[2] % 80),
+            y: u16::from(word[3] >> 5),
+            polarity: Polarity::from_bool(word[3] & 16 != 0),
+        };
+        while encoder.push(event) == Push::Closed {
+            frames(&mut encoder);
+        }
+        pushed += 1;
+    }
+    encoder.flush();
+    frames(&mut encoder);
+    assert_eq!(accounted, pushed);
+});

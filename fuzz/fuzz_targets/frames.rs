@@ -1,0 +1,25 @@
+//! Any bytes read as a stream of frames: no panic, no endless loop, every byte accounted for, and
+//! whatever is a frame decodes into events or is refused.
+#![no_main]
+
+use host_harness::decode::WindowReader;
+use host_harness::frame_file::FrameReader;
+use host_harness::reconstruct::events::EventDecoder;
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|data: &[u8]| {
+    let mut windows = WindowReader::new(FrameReader::new(data));
+    while let Some(window) = windows.next_window().expect("memory does not fail") {
+        let header = window.header;
+        let events: u64 = window
+            .pixels
+            .iter()
+            .map(|p| u64::from(p.on) + u64::from(p.off))
+            .sum();
+        if events > 1000 || header.grid > 64 {
+            continue;
+        }
+        let decoder = EventDecoder::new(header.transform, header.grid, header.m);
+        assert_eq!(decoder.window(&window).len() as u64, events);
+    }
+});
