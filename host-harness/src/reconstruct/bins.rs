@@ -1,7 +1,7 @@
 //! The inverse transform as a volume of B time bins, the same array for every transform.
 //!
-//! V[b] = integral of s_hat(u) over [b/B, (b+1)/B), where s_hat is the signal that the kept
-//! coefficients describe:
+//! `V[b]` is the integral of `s_hat(u)` over `[b/B, (b+1)/B)`, where `s_hat` is the signal that
+//! the kept coefficients describe:
 //!
 //! * DCT: s_hat(u) = c_0 + 2 sum_k c_k cos(pi k u)
 //! * DTFT: s_hat(u) = c_0 + 2 Re sum_k c_k exp(i 2 pi k u)
@@ -20,7 +20,7 @@ use super::{DecodedWindow, Pixel, haar_support};
 #[derive(Debug, Clone)]
 pub struct Bins {
     bins: usize,
-    /// [k * bins + b]: weights of re and of im.
+    /// `[k * bins + b]`: weights of re and of im.
     weights: Vec<(f64, f64)>,
 }
 
@@ -40,7 +40,7 @@ impl Bins {
         Self { bins, weights }
     }
 
-    /// V[b] of one pixel, for one bin.
+    /// `V[b]` of one pixel, for one bin.
     #[must_use]
     pub fn value(&self, pixel: &Pixel, bin: usize) -> f64 {
         pixel

@@ -1,0 +1,115 @@
+#!/usr/bin/env bash
+# Every check of the project, headless. `./test.sh` runs all of them, `./test.sh STAGE...` some:
+#
+#   lint   formatting, clippy, documentation
+#   unit   unit, property, golden, format, end-to-end tests; shared recordings where present
+#   nostd  the core without std
+#   fuzz   every fuzz target for FUZZ_SECONDS (default 5)
+#   demo   the first command of the README
+#
+# What is missing is installed where that is possible; where it is not, the stage says so.
+set -euo pipefail
+cd "$(dirname "$0")"
+
+# Notes what a stage leaves out.
+skip() { echo "skipped: $1"; echo "$1" >>"$SKIPPED"; }
+
+have() { command -v "$1" >/dev/null 2>&1; }
+
+# A rustup component, installed if rustup may.
+component() {
+    cargo "$1" --version >/dev/null 2>&1 && return
+    echo "installing $2"
+    have rustup && rustup component add "$2" >/dev/null 2>&1 && return
+    skip "$1: rustup cannot add the component $2"
+    return 1
+}
+
+lint() {
+    if component fmt rustfmt; then
+        cargo fmt --all --check
+        cargo fmt --all --check --manifest-path fuzz/Cargo.toml
+    fi
+    if component clippy clippy; then
+        cargo clippy --workspace --all-targets -- -D warnings
+        cargo clippy -p eecvs-nostd --features defmt -- -D warnings
+    fi
+    RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
+}
+
+unit() {
+    # The dev profile checks arithmetic overflow and debug assertions.
+    cargo test --workspace
+    # The bits must not depend on the profile.
+    cargo test --release -p eecvs-tests --test golden --test wire_format
+}
+
+nostd() {
+    local target
+    # A Cortex-M4F, and a core without atomics, FPU and DSP instructions.
+    for target in thumbv7em-none-eabihf thumbv6m-none-eabi; do
+        if [ ! -d "$(rustc --print target-libdir --target "$target")" ]; then
+            echo "installing the target $target"
+            if ! { have rustup && rustup target add "$target" >/dev/null 2>&1; }; then
+                skip "nostd: rustup cannot add the target $target"
+                continue
+            fi
+        fi
+        cargo check -p eecvs-nostd --target "$target"
+        cargo check -p eecvs-nostd --target "$target" --features defmt
+    done
+}
+
+fuzz() {
+    if ! have c++; then
+        skip "fuzz: libFuzzer needs a C++ compiler"
+        return
+    fi
+    if ! cargo fuzz --version >/dev/null 2>&1; then
+        echo "installing cargo-fuzz"
+        if ! cargo install cargo-fuzz --locked --quiet; then
+            skip "fuzz: cargo-fuzz cannot be installed"
+            return
+        fi
+    fi
+    fuzz/run.sh "${FUZZ_SECONDS:-5}"
+}
+
+demo() {
+    local folder
+    folder=$(mktemp -d)
+    cargo run --release --quiet -- demo -o "$folder/demo"
+    test -s "$folder/demo/report.html" -a -s "$folder/demo/dense.png"
+    rm -r "$folder"
+}
+
+# A stage runs in a process of its own, so that its first failing command ends it.
+if [ "${1:-}" = --stage ]; then
+    "$2"
+    exit
+fi
+
+stages=("$@")
+[ ${#stages[@]} -gt 0 ] || stages=(lint unit nostd fuzz demo)
+for stage in "${stages[@]}"; do
+    case $stage in
+        lint | unit | nostd | fuzz | demo) ;;
+        *) echo "test.sh: no stage '$stage'; see the head of this file" >&2; exit 2 ;;
+    esac
+done
+
+SKIPPED=$(mktemp)
+export SKIPPED
+trap 'rm -f "$SKIPPED"' EXIT
+failed=()
+for stage in "${stages[@]}"; do
+    echo "=== $stage"
+    "$0" --stage "$stage" || failed+=("$stage")
+done
+
+sed 's/^/skipped: /' "$SKIPPED"
+if [ ${#failed[@]} -gt 0 ]; then
+    echo "FAILED: ${failed[*]}"
+    exit 1
+fi
+echo "all stages passed: ${stages[*]}"
