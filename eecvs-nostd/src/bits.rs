@@ -22,6 +22,7 @@ pub struct BitWriter<'o> {
 
 /// A place in a [`BitWriter`]'s output to go back to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Position {
     bytes: usize,
     pending: u64,

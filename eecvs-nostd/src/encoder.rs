@@ -91,6 +91,7 @@ struct Task {
 
 /// A frame in the output.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Encoded {
     /// Its header.
     pub header: Header,

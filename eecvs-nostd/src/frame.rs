@@ -279,6 +279,7 @@ pub fn seal(
 
 /// A whole, undamaged frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame<'i> {
     /// Its header.
     pub header: Header,

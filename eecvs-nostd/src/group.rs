@@ -11,6 +11,7 @@ use crate::window::{Slot, Window};
 
 /// A pixel with events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Pixel {
     /// Column.
     pub x: u16,

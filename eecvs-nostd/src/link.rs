@@ -4,6 +4,7 @@ use crate::frame::{Frame, FrameError, SYNC};
 
 /// What stands at the start of received bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Scan<'i> {
     /// A frame; it takes up `frame.bytes`.
     Frame(Frame<'i>),

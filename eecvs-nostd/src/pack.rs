@@ -55,6 +55,7 @@ impl From<Ended> for UnpackError {
 
 /// What both directions know of a frame before its payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Packing {
     /// Sensor size.
     pub sensor: Sensor,

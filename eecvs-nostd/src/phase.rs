@@ -4,6 +4,7 @@ use crate::fixed_point::Phase;
 
 /// Divides by one window's duration: a multiplication per event instead of a division.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PhaseScale {
     duration_us: u32,
     /// floor((2^64 - 1) / T)

@@ -4,6 +4,7 @@ use crate::event::{Event, Polarity, Sensor};
 
 /// One buffered event: 8 bytes. All zero is a valid empty slot, so buffers live in `.bss`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Slot {
     /// t - t0 in microseconds.
     offset_us: u32,
