@@ -64,7 +64,7 @@ pub fn pixels(frame: &Frame<'_>) -> Result<Vec<Pixel>, UnpackError> {
 pub struct DecodedWindow {
     /// Header of its first frame that came.
     pub header: Header,
-    /// Pixels of all its frames that came, in raster order.
+    /// Pixels of all its frames that came, of each frame in raster order.
     pub pixels: Vec<Pixel>,
 }
 
@@ -73,8 +73,8 @@ impl DecodedWindow {
     #[must_use]
     pub fn has_part(&self, header: &Header) -> bool {
         let own = &self.header;
-        (own.t0_us, own.duration_us, own.window_events, own.transform)
-            == (header.t0_us, header.duration_us, header.window_events, header.transform)
+        (own.t0_us, own.duration_us, own.packing())
+            == (header.t0_us, header.duration_us, header.packing())
             // Parts count up: windows that share a start are told apart by it.
             && header.part > 0
     }
