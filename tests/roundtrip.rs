@@ -4,9 +4,12 @@ use std::collections::BTreeMap;
 
 use eecvs_nostd::bits::{BitReader, BitWriter};
 use eecvs_nostd::transform::Rule;
-use eecvs_nostd::{Descriptor, Level, OUTPUT_BYTES_MIN, Packing, Quantiser, Transform};
+use eecvs_nostd::{
+    Descriptor, Event, FRAME_BYTES_MAX, Level, OUTPUT_BYTES_MIN, Packing, Polarity, Quantiser,
+    Sensor, Transform,
+};
 use proptest::prelude::*;
-use strategies::{encode, job, parse, sensor, transform};
+use strategies::{encode, job, parse, plain_config, sensor, transform};
 
 fn packing() -> impl Strategy<Value = Packing> {
     (
@@ -136,11 +139,14 @@ proptest! {
     ) {
         let frames = encode(config, &events, window_events, frame_bytes);
         let mut accounted = 0;
+        let mut part = 0;
         let mut counts: BTreeMap<(u16, u16), (u32, u32)> = BTreeMap::new();
         for (index, bytes) in frames.iter().enumerate() {
             let frame = parse(bytes);
             let header = frame.header;
             prop_assert_eq!(header.sequence, index as u32);
+            prop_assert_eq!(header.part, part);
+            part = if header.last { 0 } else { part + 1 };
             prop_assert!(bytes.len() <= frame_bytes);
             let mut events = 0;
             for descriptor in frame.descriptors() {
@@ -154,14 +160,15 @@ proptest! {
             accounted += header.events + header.late + header.filtered + header.dropped;
         }
         prop_assert_eq!(accounted as usize, events.len());
+        prop_assert_eq!(part, 0, "the last window has no last frame");
         let late: u32 = frames.iter().map(|bytes| parse(bytes).header.late).sum();
         if late == 0 {
             let mut expected: BTreeMap<(u16, u16), (u32, u32)> = BTreeMap::new();
             for event in &events {
                 let count = expected.entry((event.y, event.x)).or_default();
                 match event.polarity {
-                    eecvs_nostd::Polarity::On => count.0 += 1,
-                    eecvs_nostd::Polarity::Off => count.1 += 1,
+                    Polarity::On => count.0 += 1,
+                    Polarity::Off => count.1 += 1,
                 }
             }
             prop_assert_eq!(counts, expected);
@@ -187,4 +194,27 @@ fn pixels(frames: &[Vec<u8>]) -> Vec<(u64, u32, Descriptor)> {
             })
         })
         .collect()
+}
+
+#[test]
+fn a_frame_never_exceeds_its_maximum() {
+    // 130,000 single events of 64 complex coefficients: some 20 MB.
+    let sensor = Sensor {
+        width: 1000,
+        height: 130,
+    };
+    let events: Vec<_> = (0..130_000_u32)
+        .map(|i| Event {
+            t_us: u64::from(i / 4),
+            x: (i % 1000) as u16,
+            y: (i / 1000) as u16,
+            polarity: Polarity::On,
+        })
+        .collect();
+    let mut config = plain_config(sensor, Transform::Dtft, 64);
+    config.quantiser = Quantiser::new(-8).expect("in range");
+    let frames = encode(config, &events, events.len(), 2 * FRAME_BYTES_MAX);
+    assert_eq!(frames.len(), 2);
+    assert!(frames.iter().all(|frame| frame.len() <= FRAME_BYTES_MAX));
+    assert_eq!(pixels(&frames).len(), events.len());
 }

@@ -2,7 +2,12 @@
 
 use std::num::{NonZeroU32, NonZeroUsize};
 
-use eecvs_nostd::{Event, Polarity, Regime, Sensor, Transform};
+use eecvs_nostd::window::EVENTS_MAX;
+use eecvs_nostd::{
+    Event, NoRoom, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Regime, Sensor, Transform,
+};
+use host_harness::encode::HostStorage;
+use host_harness::reconstruct::pixels;
 use host_harness::reference::{density, regime, window};
 use proptest::prelude::*;
 use strategies::{encode, job, parse, plain_config};
@@ -174,4 +179,128 @@ fn times_at_the_end_of_the_range_work() {
         headers(&[at(u64::MAX - 1, 0), at(u64::MAX, 1), at(0, 2)], 10),
         [(u64::MAX - 1, 32_768, 2, false, 1, 0)]
     );
+}
+
+#[test]
+fn the_stream_starts_anew_after_a_flush() {
+    let sensor = Sensor {
+        width: 40,
+        height: 2,
+    };
+    let mut storage = HostStorage::new(sensor, 10);
+    let config = plain_config(sensor, Transform::Dwt, 8);
+    let mut encoder = storage.encoder(config).expect("a valid configuration");
+    let mut out = vec![0; OUTPUT_BYTES_MIN];
+    let mut frames = Vec::new();
+    // Before the grid's next window, on it, and before everything so far: each flush aligns anew.
+    for t_us in [100_000, 100_500, 132_768, 5] {
+        assert_eq!(encoder.push(at(t_us, 3)), Push::Stored);
+        encoder.flush();
+        encoder.flush();
+        assert_eq!(encoder.push(at(t_us, 4)), Push::Closed);
+        while let Some(frame) = encoder.next_frame(&mut out).expect("room for a frame") {
+            let header = frame.header;
+            frames.push((header.t0_us, header.sequence, header.late, header.events));
+        }
+    }
+    encoder.flush();
+    assert_eq!(encoder.next_frame(&mut out), Ok(None));
+    assert_eq!(
+        frames,
+        [
+            (100_000, 0, 0, 1),
+            (100_500, 1, 0, 1),
+            (132_768, 2, 0, 1),
+            (5, 3, 0, 1)
+        ]
+    );
+}
+
+#[test]
+fn nothing_is_lost_where_the_output_is_too_short() {
+    let sensor = Sensor {
+        width: 40,
+        height: 40,
+    };
+    let config = plain_config(sensor, Transform::Dtft, 64);
+    let events: Vec<_> = (0..200)
+        .map(|i| Event {
+            y: i as u16 / 40,
+            ..at(i, i as u16 % 40)
+        })
+        .collect();
+    let expected = encode(config, &events, 200, OUTPUT_BYTES_MIN);
+    assert!(expected.len() > 5);
+    let mut storage = HostStorage::new(sensor, 200);
+    let mut encoder = storage.encoder(config).expect("a valid configuration");
+    let mut out = vec![0; OUTPUT_BYTES_MIN];
+    for event in events {
+        assert_eq!(encoder.push(event), Push::Stored);
+    }
+    encoder.window().count_filtered(7);
+    encoder.flush();
+    let mut frames = Vec::new();
+    let mut filtered = 0;
+    loop {
+        for len in [0, 1, OUTPUT_BYTES_MIN - 1] {
+            assert_eq!(encoder.next_frame(&mut out[..len]), Err(NoRoom));
+        }
+        match encoder.next_frame(&mut out) {
+            Ok(Some(frame)) => {
+                filtered += frame.header.filtered;
+                frames.push(out[frame.range].to_vec());
+            }
+            Ok(None) => break,
+            Err(NoRoom) => panic!("there was room"),
+        }
+    }
+    assert_eq!(filtered, 7);
+    // The counts make the first frame differ; the pixels are the same.
+    assert_eq!(frames[1..], expected[1..]);
+    assert_eq!(parse(&frames[0]).payload, parse(&expected[0]).payload);
+    assert_eq!(encoder.push(at(1000, 0)), Push::Stored);
+}
+
+/// 2^24 - 1 events of one pixel, over 2^32 - 1 us that end with the last microsecond there is.
+#[test]
+fn the_largest_window_at_the_end_of_time_fits_one_pixel() {
+    let sensor = Sensor {
+        width: 1,
+        height: 1,
+    };
+    let window_events = EVENTS_MAX as u64;
+    let t0_us = u64::MAX - (window_events - 1) * 256;
+    let mut storage = HostStorage::new(sensor, EVENTS_MAX);
+    let mut out = vec![0; OUTPUT_BYTES_MIN];
+    for (transform, step_log2) in [
+        (Transform::Dct, -15),
+        (Transform::Dtft, -15),
+        (Transform::Dwt, 8),
+    ] {
+        let mut config = plain_config(sensor, transform, 64);
+        config.window.window_us = u32::MAX;
+        config.grid = Some(4);
+        config.quantiser = Quantiser::new(step_log2).expect("in range");
+        let mut encoder = storage.encoder(config).expect("a valid configuration");
+        for i in 0..window_events {
+            assert_eq!(encoder.push(at(t0_us + i * 256, 0)), Push::Stored);
+        }
+        assert_eq!(encoder.push(at(u64::MAX, 0)), Push::Closed);
+        let encoded = encoder
+            .next_frame(&mut out)
+            .expect("room")
+            .expect("a frame");
+        let header = encoded.header;
+        assert!(header.truncated && header.last);
+        // One microsecond beyond the latest: u < 1.
+        assert_eq!(header.duration_us, (EVENTS_MAX as u32 - 1) * 256 + 1);
+        let frame = parse(&out[encoded.range]);
+        let pixel = pixels(&frame).expect("the encoder's own payload")[0].clone();
+        assert_eq!((pixel.on, pixel.off), (EVENTS_MAX as u32, 0));
+        assert_eq!(pixel.coefficients[0], (0, window_events as f64, 0.0));
+        // c_0 in steps of 2^-15 is beyond 32 bits: cut, told, and known from the counts.
+        assert_eq!(header.saturated, u32::from(step_log2 < 0));
+        assert_eq!(encoder.next_frame(&mut out), Ok(None));
+        assert_eq!(encoder.push(at(u64::MAX, 0)), Push::Stored);
+    }
 }

@@ -320,6 +320,37 @@ mod tests {
     }
 
     #[test]
+    fn the_escape_begins_at_24_ones() {
+        for (zigzag_half, expected) in [
+            // 23 ones and a zero; 24 ones and the value in 32 bits.
+            (-12, &[0xff, 0xff, 0x7f][..]),
+            (12, &[0xff, 0xff, 0xff, 24, 0, 0, 0]),
+        ] {
+            let mut out = [0; 16];
+            let mut writer = BitWriter::new(&mut out);
+            writer.put_rice(zigzag_half, 0).unwrap();
+            let len = writer.finish();
+            assert_eq!(out[..len], *expected);
+            assert_eq!(BitReader::new(&out[..len]).get_rice(0), Ok(zigzag_half));
+        }
+    }
+
+    #[test]
+    fn codes_that_no_value_has_are_refused() {
+        // 32 ones, and an order that leaves too few bits for 20 of them.
+        let ones = [0xff; 16];
+        assert_eq!(BitReader::new(&ones).get_exp_golomb(0), Err(Ended));
+        let twenty = [0xff, 0xff, 0x0f, 0, 0, 0, 0, 0, 0, 0];
+        assert_eq!(
+            BitReader::new(&twenty).get_exp_golomb(11),
+            Ok((1 << 31) - (1 << 11))
+        );
+        assert_eq!(BitReader::new(&twenty).get_exp_golomb(12), Err(Ended));
+        // A quotient of 2 with 31 plain bits is 2^32.
+        assert_eq!(BitReader::new(&[3, 0, 0, 0, 0, 0]).get_rice(31), Err(Ended));
+    }
+
+    #[test]
     fn bit_order_is_low_first() {
         let mut out = [0; 8];
         let mut writer = BitWriter::new(&mut out);

@@ -28,6 +28,9 @@ pub const CRC_BYTES: usize = 4;
 
 /// Sync, version and header length.
 const PREFIX_BYTES: usize = 4;
+/// Every field of the header at its longest.
+const FIELDS_BYTES_MAX: usize = 79;
+const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
 
 static HEADER_CRC: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_IBM_3740);
 #[cfg(target_pointer_width = "64")]
@@ -133,8 +136,8 @@ pub enum FrameError {
     HeaderDamaged,
     /// The header's checksum matches but a field is out of its range.
     HeaderInvalid,
-    /// The CRC-32 does not match.
-    Damaged,
+    /// The CRC-32 does not match that of the frame, of this many bytes.
+    Damaged(u32),
 }
 
 impl core::fmt::Display for FrameError {
@@ -145,7 +148,7 @@ impl core::fmt::Display for FrameError {
             Self::Version(version) => write!(f, "frame version {version} is not supported"),
             Self::HeaderDamaged => f.write_str("the frame's header is damaged"),
             Self::HeaderInvalid => f.write_str("a field of the frame's header is out of range"),
-            Self::Damaged => f.write_str("the frame's CRC does not match"),
+            Self::Damaged(_) => f.write_str("the frame's CRC does not match"),
         }
     }
 }
@@ -260,7 +263,7 @@ pub fn seal(
     }
     let mut bytes = [0; HEADER_BYTES_MAX];
     let wire = header.wire(payload_bytes as u32);
-    // Every field at its longest is 82 bytes: there is always room.
+    // FIELDS_BYTES_MAX fits: there is always room.
     let fields = postcard::to_slice(&wire, &mut bytes[PREFIX_BYTES..])
         .map_err(|_| NoRoom)?
         .len();
@@ -320,14 +323,16 @@ impl<'i> Frame<'i> {
         let header = Header::from_wire(&wire)
             .filter(|_| rest.is_empty())
             .ok_or(FrameError::HeaderInvalid)?;
-        let crc_at = header_bytes + wire.payload_bytes as usize;
-        let end = crc_at + CRC_BYTES;
-        if end > FRAME_BYTES_MAX {
+        let payload_bytes = wire.payload_bytes as usize;
+        // Before the sum below, which would overflow where usize has 32 bits.
+        if payload_bytes > FRAME_BYTES_MAX - header_bytes - CRC_BYTES {
             return Err(FrameError::HeaderInvalid);
         }
+        let crc_at = header_bytes + payload_bytes;
+        let end = crc_at + CRC_BYTES;
         let frame = bytes.get(..end).ok_or(FrameError::Incomplete)?;
         if FRAME_CRC.checksum(&frame[..crc_at]).to_le_bytes() != frame[crc_at..] {
-            return Err(FrameError::Damaged);
+            return Err(FrameError::Damaged(end as u32));
         }
         Ok(Self {
             header,
@@ -391,5 +396,39 @@ impl Iterator for Descriptors<'_> {
         let unpacked = self.unpack();
         self.failed = !matches!(unpacked, Ok(Some(_)));
         unpacked.transpose()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_longest_header_has_room() {
+        let wire = Wire {
+            payload_bytes: u32::MAX,
+            flags: u8::MAX,
+            mode: u8::MAX,
+            sequence: u32::MAX,
+            part: u32::MAX,
+            width: u16::MAX,
+            height: u16::MAX,
+            t0_us: u64::MAX,
+            duration_us: u32::MAX,
+            window_events: u32::MAX,
+            events: u32::MAX,
+            pixels: u32::MAX,
+            late: u32::MAX,
+            filtered: u32::MAX,
+            dropped: u32::MAX,
+            saturated: u32::MAX,
+            transform: u8::MAX,
+            m: u8::MAX,
+            grid: u16::MAX,
+            step_log2: i8::MIN,
+        };
+        let mut bytes = [0; 2 * HEADER_BYTES_MAX];
+        let fields = postcard::to_slice(&wire, &mut bytes).unwrap();
+        assert_eq!(fields.len(), FIELDS_BYTES_MAX);
     }
 }

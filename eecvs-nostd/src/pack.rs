@@ -13,8 +13,8 @@ use crate::event::Sensor;
 use crate::quantise::{Level, Quantiser};
 use crate::transform::{M_MAX, Rule, Transform};
 
-/// Bytes that one packed pixel can take at the most: gap and counts 20, which coefficients 130,
-/// 128 numbers of 7.
+/// Bytes that one packed pixel can take at the most: gap and counts 15, which coefficients 81,
+/// 128 numbers of 7; `the_largest_pixel_fits_its_bound` packs it.
 pub const PIXEL_BYTES_MAX: usize = 1100;
 
 /// How a payload is malformed.
@@ -362,5 +362,154 @@ impl Packing {
         } else {
             Err(UnpackError::Levels)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn packing(transform: Transform, m: u8, grid: u16, step_log2: i8) -> Packing {
+        Packing {
+            sensor: Sensor {
+                width: Sensor::SIDE_MAX,
+                height: Sensor::SIDE_MAX,
+            },
+            // As many events as pixels: the gap code's order is 0, its longest.
+            window_events: 1 << 22,
+            transform,
+            m,
+            grid,
+            quantiser: Quantiser::new(step_log2).unwrap(),
+        }
+    }
+
+    #[test]
+    fn rice_bits_follow_steps_and_events_and_haar_levels_events_alone() {
+        for (transform, step_log2, events, bits) in [
+            (Transform::Dct, -6, 1, 6),
+            (Transform::Dtft, -6, 4, 7),
+            (Transform::Dtft, 2, 1 << 10, 3),
+            (Transform::Dct, 8, 1, 0),
+            (Transform::Dwt, -6, 1, 0),
+            (Transform::Dwt, -15, 16, 2),
+            (Transform::Dwt, 2, 1 << 10, 3),
+            (Transform::Dwt, 8, 1, 0),
+        ] {
+            let packing = packing(transform, 8, 16, step_log2);
+            assert_eq!(
+                packing.rice_bits(events),
+                bits,
+                "{transform:?} {step_log2} {events}"
+            );
+        }
+    }
+
+    #[test]
+    fn indices_are_listed_only_where_that_is_shorter() {
+        for (grid, count, lists) in [
+            (16, 3, true),
+            (16, 4, false),
+            (1024, 64, true),
+            (640, 64, false),
+            (1, 1, true),
+        ] {
+            let packing = packing(Transform::Dtft, 64, grid, 0);
+            assert_eq!(packing.lists_indices(count), lists, "{count} of {grid}");
+        }
+    }
+
+    /// Every code of a pixel at its longest, for the grids where the indices take most.
+    #[test]
+    fn the_largest_pixel_fits_its_bound() {
+        let mut longest = 0;
+        for transform in Transform::ALL {
+            for grid in [64, 512, 640, 1024] {
+                for step_log2 in [-15, -6, 8] {
+                    let grid = transform.grid_size(64, Some(grid));
+                    let packing = packing(transform, 64, grid, step_log2);
+                    let side = Sensor::SIDE_MAX;
+                    let mut descriptor = Descriptor {
+                        x: side - 1,
+                        y: side - 1,
+                        on: (1 << 24) - 2,
+                        off: 1,
+                        levels: Vec::new(),
+                    };
+                    let first = match transform.rule() {
+                        Rule::LowFrequency => 0,
+                        Rule::Magnitude => grid - 64,
+                    };
+                    for k in first..first + 64 {
+                        let level = Level {
+                            k,
+                            re: i32::MIN,
+                            im: i32::from(transform.is_complex()) * i32::MIN,
+                        };
+                        let _ = descriptor.levels.push(level);
+                    }
+                    let mut bytes = [0; 2 * PIXEL_BYTES_MAX];
+                    let mut writer = BitWriter::new(&mut bytes);
+                    packing.pack(&descriptor, &mut 0, &mut writer).unwrap();
+                    longest = longest.max(writer.finish());
+                }
+            }
+        }
+        assert!(longest <= PIXEL_BYTES_MAX, "{longest}");
+        // Not by chance: counts and gap, 640 bits of indices, 128 escaped numbers of 56 bits.
+        assert_eq!(
+            longest,
+            (45 + 47 + 24 + 7 + 1 + 640 + 128 * 56_usize).div_ceil(8)
+        );
+    }
+
+    /// Unpacks a pixel at (0, 0) with one ON event whose `fields` (value, bits) follow its counts.
+    fn unpack(packing: Packing, fields: &[(u32, u32)]) -> Result<Descriptor, UnpackError> {
+        let mut bytes = [0; 64];
+        let mut writer = BitWriter::new(&mut bytes);
+        writer.put_exp_golomb(0, 0).unwrap();
+        writer.put_exp_golomb(0, 0).unwrap();
+        writer.put(1, 1).unwrap();
+        for (value, bits) in fields {
+            writer.put(*value, *bits).unwrap();
+        }
+        let len = writer.finish();
+        packing.unpack(&mut 0, 1, &mut BitReader::new(&bytes[..len]))
+    }
+
+    /// Rice codes without plain bits: zigzag 0, 1 and 2.
+    const ZERO: (u32, u32) = (0, 1);
+    const MINUS_ONE: (u32, u32) = (1, 2);
+    const ONE: (u32, u32) = (3, 3);
+
+    #[test]
+    fn a_pixel_has_one_encoding() {
+        let set = packing(Transform::Dwt, 4, 16, 0);
+        let listed = |first: u32, second: u32, level| {
+            let fields = [(2, 3), (0, 1), (first, 4), (second, 4), ONE, level];
+            unpack(set, &fields)
+        };
+        assert_eq!(
+            listed(3, 5, MINUS_ONE).unwrap().levels[..],
+            [(3, 1), (5, -1)].map(|(k, re)| Level { k, re, im: 0 })
+        );
+        let refused = Err(UnpackError::Levels);
+        assert_eq!(listed(5, 5, MINUS_ONE), refused, "an index twice");
+        assert_eq!(listed(5, 3, MINUS_ONE), refused, "descending indices");
+        assert_eq!(listed(3, 5, ZERO), refused, "a level of 0");
+        assert_eq!(unpack(set, &[(5, 3), (1, 1)]), refused, "more than M");
+
+        let run = packing(Transform::Dct, 4, 4, 0);
+        assert_eq!(unpack(run, &[(3, 3), ZERO, ONE]).unwrap().levels.len(), 2);
+        assert_eq!(
+            unpack(run, &[(3, 3), ONE, ZERO]),
+            refused,
+            "a run that ends with 0"
+        );
+        assert_eq!(
+            unpack(run, &[(5, 3), ONE, ONE, ONE, ONE]),
+            refused,
+            "more than r"
+        );
     }
 }

@@ -65,6 +65,21 @@ mod tests {
         }
     }
 
+    #[test]
+    fn offsets_beyond_the_window_give_the_last_phase() {
+        for duration_us in [1, 1000, u32::MAX - 1] {
+            let scale = PhaseScale::new(duration_us);
+            for offset_us in [duration_us, duration_us + 1, u32::MAX] {
+                assert_eq!(
+                    scale.phase(offset_us),
+                    Phase::MAX,
+                    "{offset_us} / {duration_us}"
+                );
+            }
+        }
+        assert_eq!(PhaseScale::new(0), PhaseScale::new(1));
+    }
+
     proptest! {
         #[test]
         fn every_phase_is_the_exact_floor(duration_us in 1..=u32::MAX, seed: u32) {

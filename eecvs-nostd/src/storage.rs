@@ -28,7 +28,8 @@ pub struct Storage<
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SetupError {
-    /// The event buffers are empty or too small for the sensor, or T is 0.
+    /// [`Window::new`] refuses: the event buffers are empty or too small for the sensor, the sensor
+    /// is out of range, or T is 0.
     Window,
     /// The rest of the configuration.
     Config(ConfigError),
@@ -78,5 +79,114 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
 {
     fn default() -> Self {
         Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Quantiser, Sensor, Thresholds, WindowConfig, bitmap_words, segments};
+
+    const SEGMENTS: usize = segments(40, 3);
+    const BITMAP: usize = bitmap_words(SEGMENTS);
+    type Small = Storage<16, SEGMENTS, BITMAP, 64>;
+
+    static STORAGE: std::sync::Mutex<Small> = std::sync::Mutex::new(Small::new());
+
+    const CONFIG: Config = Config {
+        window: WindowConfig {
+            sensor: Sensor {
+                width: 40,
+                height: 3,
+            },
+            window_us: 1000,
+        },
+        thresholds: Thresholds::new(0, 0).unwrap(),
+        transform: None,
+        m: 16,
+        grid: None,
+        quantiser: Quantiser::DEFAULT,
+    };
+
+    /// Anything but zeros would move the buffers from .bss to .data, into flash.
+    #[test]
+    fn a_static_is_all_zero_and_serves_an_encoder() {
+        let mut storage = STORAGE.lock().unwrap();
+        assert!(storage.slots.iter().all(|slot| *slot == Slot::EMPTY));
+        assert_eq!((Slot::EMPTY.offset_us(), Slot::EMPTY.next()), (0, 0));
+        assert_eq!((Slot::EMPTY.column(), Slot::EMPTY.is_on()), (0, false));
+        assert!(
+            storage
+                .heads
+                .iter()
+                .chain(&storage.bitmap)
+                .all(|word| *word == 0)
+        );
+        assert!(storage.sums.iter().all(|sum| sum.to_bits() == 0));
+        assert!(storage.totals.iter().all(|total| total.to_bits() == 0));
+        assert!(storage.magnitudes.iter().all(|magnitude| *magnitude == 0));
+        assert!(storage.encoder(CONFIG).is_ok());
+    }
+
+    const BUILT_IN_CONST: bool = {
+        let (mut slots, mut heads, mut bitmap) = ([Slot::EMPTY; 1], [0; SEGMENTS], [0; BITMAP]);
+        let (mut sums, mut totals) = ([Sum::ZERO; 64], [WideSum::ZERO; 64]);
+        let mut magnitudes = [0; 64];
+        let buffers = WindowBuffers {
+            slots: &mut slots,
+            heads: &mut heads,
+            bitmap: &mut bitmap,
+        };
+        let scratch = Scratch {
+            sums: &mut sums,
+            totals: &mut totals,
+            magnitudes: &mut magnitudes,
+        };
+        match (
+            Window::new(CONFIG.window, buffers),
+            WindowEncoder::new(CONFIG, scratch),
+        ) {
+            (Some(window), Ok(encoder)) => {
+                let _encoder = Encoder::new(window, encoder);
+                true
+            }
+            _ => false,
+        }
+    };
+
+    #[test]
+    fn setup_tells_what_does_not_fit() {
+        const { assert!(BUILT_IN_CONST) };
+        let mut storage = Small::new();
+        let mut error = |change: fn(&mut Config)| {
+            let mut config = CONFIG;
+            change(&mut config);
+            storage.encoder(config).err()
+        };
+        let config = |error| Some(SetupError::Config(error));
+        assert_eq!(error(|_| ()), None);
+        assert_eq!(error(|c| c.window.window_us = 0), Some(SetupError::Window));
+        assert_eq!(
+            error(|c| c.window.sensor.height = 5),
+            Some(SetupError::Window)
+        );
+        assert_eq!(
+            error(|c| c.window.sensor.width = 0),
+            Some(SetupError::Window)
+        );
+        assert_eq!(error(|c| c.m = 0), config(ConfigError::M));
+        assert_eq!(error(|c| c.m = 65), config(ConfigError::M));
+        assert_eq!(error(|c| c.m = 17), config(ConfigError::Scratch));
+        assert_eq!(error(|c| c.grid = Some(0)), config(ConfigError::Grid));
+        assert_eq!(error(|c| c.grid = Some(1025)), config(ConfigError::Grid));
+        assert_eq!(error(|c| c.grid = Some(33)), config(ConfigError::Scratch));
+        // Room enough, but no reader takes a frame of this sensor.
+        let mut storage = Storage::<1, 4096, 4096, 64>::new();
+        let mut config = CONFIG;
+        config.window.sensor = Sensor {
+            width: Sensor::SIDE_MAX + 1,
+            height: 1,
+        };
+        assert_eq!(storage.encoder(config).err(), Some(SetupError::Window));
     }
 }

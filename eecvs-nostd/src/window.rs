@@ -171,11 +171,13 @@ pub struct Window<'b> {
 
 impl<'b> Window<'b> {
     /// A window over lent buffers, or `None` where they are too small for the sensor, there is no
-    /// room for an event, or T is 0.
+    /// room for an event, T is 0, or a side of the sensor is 0 or above [`Sensor::SIDE_MAX`].
     #[must_use]
     pub const fn new(config: WindowConfig, buffers: WindowBuffers<'b>) -> Option<Self> {
         let segments = segments(config.sensor.width, config.sensor.height);
-        if config.window_us == 0
+        // A frame of a sensor that `Sensor::new` refuses would be refused by every reader.
+        if Sensor::new(config.sensor.width, config.sensor.height).is_none()
+            || config.window_us == 0
             || buffers.slots.is_empty()
             || buffers.slots.len() > EVENTS_MAX
             || buffers.heads.len() < segments

@@ -16,6 +16,8 @@ use crate::reconstruct::{DecodedWindow, pixels};
 pub struct WindowReader<R> {
     frames: FrameReader<R>,
     pending: Option<DecodedWindow>,
+    /// Events of `pending`.
+    pending_events: u32,
     counts: FrameCounts,
 }
 
@@ -36,6 +38,7 @@ impl<R: Read> WindowReader<R> {
         Self {
             frames,
             pending: None,
+            pending_events: 0,
             counts: FrameCounts {
                 events_late: 0,
                 events_filtered: 0,
@@ -72,8 +75,16 @@ impl<R: Read> WindowReader<R> {
             self.counts.events_filtered += u64::from(header.filtered);
             self.counts.events_dropped += u64::from(header.dropped);
             match &mut self.pending {
-                Some(window) if window.has_part(&header) => window.pixels.extend(pixels),
+                // Frames without end that call themselves parts of one window do not grow it.
+                Some(window)
+                    if window.has_part(&header)
+                        && header.events <= header.window_events - self.pending_events =>
+                {
+                    self.pending_events += header.events;
+                    window.pixels.extend(pixels);
+                }
                 _ => {
+                    self.pending_events = header.events;
                     let window = (header.events > 0).then_some(DecodedWindow { header, pixels });
                     let before = std::mem::replace(&mut self.pending, window);
                     if before.is_some() {

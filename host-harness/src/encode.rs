@@ -61,7 +61,10 @@ impl HostStorage {
             magnitudes: &mut self.magnitudes,
         };
         let Some(window) = Window::new(config.window, buffers) else {
-            bail!("the window needs a duration of at least 1 us and room for 1 to 2^24 - 1 events");
+            bail!(
+                "the window needs a duration of at least 1 us, room for 1 to 2^24 - 1 events and a \
+                 sensor of 1 to 2048 pixels a side"
+            );
         };
         match WindowEncoder::new(config, scratch) {
             Ok(encoder) => Ok(Encoder::new(window, encoder)),

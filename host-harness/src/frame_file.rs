@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use eecvs_nostd::frame::SYNC;
-use eecvs_nostd::{Frame, FrameError, Header, Order, Scan, Sequence, scan};
+use eecvs_nostd::{FRAME_BYTES_MAX, Frame, FrameError, Header, Order, Scan, Sequence, scan};
 use serde::Serialize;
 
 /// Bytes asked of the source at a time.
@@ -76,7 +76,13 @@ pub struct Located<'r> {
     pub offset: u64,
 }
 
-/// Reads frames; memory is bounded by the largest frame.
+/// Bytes of damaged frames that are checked and then searched for other frames: this many, and
+/// [`RESCANS`] times the bytes read. Only frames made to lie inside of each other reach it, whose
+/// checksums would cost the square of their length.
+const RESCAN_BYTES: u64 = 4 * FRAME_BYTES_MAX as u64;
+const RESCANS: u64 = 4;
+
+/// Reads frames; memory is bounded by the largest frame, work by the bytes read.
 pub struct FrameReader<R> {
     source: R,
     buffer: Vec<u8>,
@@ -85,6 +91,8 @@ pub struct FrameReader<R> {
     /// Offset of `buffer[start]` in the source.
     offset: u64,
     in_damage: bool,
+    /// Bytes of all damaged frames that were searched.
+    rescanned: u64,
     ended: bool,
     sequence: Sequence,
     report: LinkReport,
@@ -110,6 +118,7 @@ impl<R: Read> FrameReader<R> {
             start: 0,
             offset: 0,
             in_damage: false,
+            rescanned: 0,
             ended: false,
             sequence: Sequence::new(),
             report: LinkReport::default(),
@@ -144,6 +153,18 @@ impl<R: Read> FrameReader<R> {
                         break (header, payload_start, bytes);
                     }
                     self.advance(bytes);
+                }
+                Scan::Damage {
+                    error: error @ FrameError::Damaged(bytes),
+                    skip,
+                } => {
+                    let rescanned = self.rescanned + u64::from(bytes);
+                    if rescanned <= RESCAN_BYTES + RESCANS * self.offset {
+                        self.rescanned = rescanned;
+                        self.skip(error, skip);
+                    } else {
+                        self.skip(error, bytes as usize);
+                    }
                 }
                 Scan::Damage { error, skip } => self.skip(error, skip),
                 Scan::Incomplete if self.ended => {
@@ -207,13 +228,14 @@ impl<R: Read> FrameReader<R> {
     }
 
     fn fill(&mut self) -> std::io::Result<()> {
-        self.buffer.drain(..self.start);
-        self.start = 0;
+        // Moving what is left only when it is no more than what was used up keeps the copies
+        // linear, however little a read brings; `scan` asks for no more than FRAME_BYTES_MAX.
+        if self.start >= self.buffer.len() - self.start {
+            self.buffer.drain(..self.start);
+            self.start = 0;
+        }
         let len = self.buffer.len();
-        // Doubling keeps the copies linear in a large frame's size; `scan` asks for no more
-        // than FRAME_BYTES_MAX.
-        let more = READ_BYTES.max(len);
-        self.buffer.resize(len + more, 0);
+        self.buffer.resize(len + READ_BYTES, 0);
         let read = loop {
             match self.source.read(&mut self.buffer[len..]) {
                 Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}

@@ -123,6 +123,36 @@ mod tests {
         }
     }
 
+    /// The sums of the module's formulas, integrated numerically.
+    #[test]
+    fn bins_are_integrals_of_the_synthesis() {
+        let coefficients = vec![(0, 2.0, 0.0), (1, 0.7, -0.4), (3, -1.2, 0.9)];
+        for transform in [Transform::Dct, Transform::Dtft] {
+            let synthesis = |u: f64| {
+                let terms = coefficients.iter().map(|(k, re, im)| {
+                    let (turns, factor) = (f64::from(*k) * u, if *k == 0 { 1.0 } else { 2.0 });
+                    match transform {
+                        Transform::Dct => factor * re * (PI * turns).cos(),
+                        _ => factor * (re * (TAU * turns).cos() - im * (TAU * turns).sin()),
+                    }
+                });
+                terms.sum::<f64>()
+            };
+            let table = Bins::new(transform, 4, 5);
+            let pixel = pixel(coefficients.clone());
+            for bin in 0..5 {
+                let middles =
+                    (0..1000).map(|i| (f64::from(bin) + (f64::from(i) + 0.5) / 1e3) / 5.0);
+                let integral = middles.map(synthesis).sum::<f64>() / 5e3;
+                let value = table.value(&pixel, bin as usize);
+                assert!(
+                    (value - integral).abs() < 1e-5,
+                    "{transform:?} {bin}: {value}"
+                );
+            }
+        }
+    }
+
     #[test]
     fn all_haar_coefficients_give_the_counts() {
         // One event in bin 2 of 4: c_0 = 1, c_1 = -1, c_3 = sqrt 2.

@@ -360,6 +360,7 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::reconstruct::test_header::header;
     use std::f64::consts::{PI, TAU};
 
     fn coefficients(transform: Transform, grid: u16, events: &[Placed]) -> Vec<(u16, f64, f64)> {
@@ -414,6 +415,31 @@ mod tests {
                     assert!(error < 1e-5, "{transform:?} {events:?} {placed:?}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn times_are_rounded_to_the_nearest_microsecond() {
+        let (decoder, duration_us) = (EventDecoder::new(Transform::Dtft, 16, 16), 1000);
+        for offset_us in (0..duration_us).step_by(37).chain([duration_us - 1]) {
+            let u = f64::from(offset_us) / f64::from(duration_us);
+            let window = DecodedWindow {
+                header: header(duration_us),
+                pixels: vec![Pixel {
+                    x: 3,
+                    y: 1,
+                    on: 0,
+                    off: 1,
+                    coefficients: coefficients(Transform::Dtft, 16, &[(u, -1.0)]),
+                }],
+            };
+            let event = Event {
+                t_us: 5000 + u64::from(offset_us),
+                x: 3,
+                y: 1,
+                polarity: Polarity::Off,
+            };
+            assert_eq!(decoder.window(&window), [event]);
         }
     }
 

@@ -2,6 +2,8 @@
 
 pub mod bins;
 pub mod events;
+#[cfg(test)]
+mod test_header;
 pub mod volume;
 
 use eecvs_nostd::{Descriptor, Frame, Header, UnpackError};
@@ -64,7 +66,7 @@ pub fn pixels(frame: &Frame<'_>) -> Result<Vec<Pixel>, UnpackError> {
 pub struct DecodedWindow {
     /// Header of its first frame that came.
     pub header: Header,
-    /// Pixels of all its frames that came, in raster order.
+    /// Pixels of all its frames that came, of each frame in raster order.
     pub pixels: Vec<Pixel>,
 }
 
@@ -73,8 +75,8 @@ impl DecodedWindow {
     #[must_use]
     pub fn has_part(&self, header: &Header) -> bool {
         let own = &self.header;
-        (own.t0_us, own.duration_us, own.window_events, own.transform)
-            == (header.t0_us, header.duration_us, header.window_events, header.transform)
+        (own.t0_us, own.duration_us, own.packing())
+            == (header.t0_us, header.duration_us, header.packing())
             // Parts count up: windows that share a start are told apart by it.
             && header.part > 0
     }
@@ -100,4 +102,54 @@ pub(crate) fn haar_support(k: u16) -> (f64, f64, f64) {
     let width = 0.5_f64.powi(scale as i32);
     let start = f64::from(k - (1 << scale)) * width;
     ((1.0 / width).sqrt(), start, start + width)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eecvs_nostd::{Level, Transform};
+
+    #[test]
+    fn c_0_is_the_counts_whatever_the_step() {
+        for transform in Transform::ALL {
+            let header = Header {
+                transform,
+                ..test_header::header(1000)
+            };
+            let mut descriptor = Descriptor {
+                on: 13,
+                off: 2,
+                ..Descriptor::EMPTY
+            };
+            // 11 is 1.4 steps; 2 steps of the Haar scale of k = 4 are 2 * 4 * 2.
+            for (k, re) in [(0, 1), (4, 2)] {
+                let _ = descriptor.levels.push(Level { k, re, im: 0 });
+            }
+            let pixel = Pixel::dequantise(&header, &descriptor);
+            assert_eq!(pixel.coefficients, [(0, 11.0, 0.0), (4, 16.0, 0.0)]);
+        }
+    }
+
+    #[test]
+    fn planes_hold_re_and_im_in_turn() {
+        let window = DecodedWindow {
+            header: test_header::header(1000),
+            pixels: vec![Pixel {
+                x: 2,
+                y: 3,
+                on: 1,
+                off: 0,
+                coefficients: vec![(0, 1.0, 0.0), (5, 0.25, -0.75)],
+            }],
+        };
+        assert_eq!(window.channels(), 32);
+        for (channel, expected) in [(0, 1.0), (1, 0.0), (9, 0.0), (10, 0.25), (11, -0.75)] {
+            // Whatever was in the plane before is gone.
+            let mut plane = [9.0; 32];
+            volume::plane(&window, channel, &mut plane);
+            let mut only = [0.0; 32];
+            only[3 * 8 + 2] = expected;
+            assert_eq!(plane, only, "channel {channel}");
+        }
+    }
 }

@@ -1,0 +1,270 @@
+//! Streams made to harm a reader: sound checksums, contradicting contents. They are refused,
+//! counted and cost no more than their length; nothing panics.
+
+use eecvs_nostd::bits::BitWriter;
+use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
+use eecvs_nostd::{
+    Descriptor, FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, Quantiser, Regime, Sensor,
+    Transform, UnpackError,
+};
+use host_harness::decode::WindowReader;
+use host_harness::frame_file::FrameReader;
+
+fn header() -> Header {
+    Header {
+        truncated: false,
+        last: false,
+        regime: Regime::Sparse,
+        mode: Mode::Transform,
+        sequence: 0,
+        part: 0,
+        sensor: Sensor {
+            width: 8,
+            height: 8,
+        },
+        t0_us: 0,
+        duration_us: 1000,
+        window_events: 2,
+        events: 1,
+        pixels: 1,
+        late: 0,
+        filtered: 0,
+        dropped: 0,
+        saturated: 0,
+        transform: Transform::Dwt,
+        m: 8,
+        grid: 16,
+        quantiser: Quantiser::DEFAULT,
+    }
+}
+
+/// A frame of a pixel with one ON event at the sensor's last place.
+fn frame(header: &Header) -> Vec<u8> {
+    let mut out = vec![0; 1000];
+    let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..]);
+    let descriptor = Descriptor {
+        x: header.sensor.width - 1,
+        y: header.sensor.height - 1,
+        on: 1,
+        ..Descriptor::EMPTY
+    };
+    header
+        .packing()
+        .pack(&descriptor, &mut 0, &mut writer)
+        .expect("room");
+    let payload_bytes = writer.finish();
+    let range = seal(header, payload_bytes, &mut out).expect("room");
+    out[range].to_vec()
+}
+
+fn unpack_error(frame: &[u8]) -> Option<UnpackError> {
+    let frame = Frame::parse(frame).expect("sound checksums");
+    frame.descriptors().find_map(Result::err)
+}
+
+#[test]
+fn header_fields_out_of_range_are_refused() {
+    assert!(Frame::parse(&frame(&header())).is_ok());
+    let cases: [(&str, fn(&mut Header)); 13] = [
+        ("M of 0", |h| h.m = 0),
+        ("M of 65", |h| h.m = 65),
+        ("grid of 0", |h| h.grid = 0),
+        ("Haar grid of 24", |h| h.grid = 24),
+        ("grid of 2048", |h| h.grid = 2048),
+        ("duration of 0", |h| h.duration_us = 0),
+        ("events above the window's", |h| h.events = 3),
+        ("a window of 2^24 events", |h| h.window_events = 1 << 24),
+        ("pixels above the events", |h| h.pixels = 2),
+        ("pixels above the sensor's", |h| {
+            (h.window_events, h.events, h.pixels) = (100, 100, 65);
+        }),
+        ("events without a pixel", |h| h.pixels = 0),
+        ("a sensor 2049 wide", |h| h.sensor.width = 2049),
+        ("a sensor 0 high", |h| {
+            (h.sensor.width, h.sensor.height) = (1, 0)
+        }),
+    ];
+    for (name, change) in cases {
+        let mut changed = header();
+        change(&mut changed);
+        let mut out = [0; 200];
+        let range = seal(&changed, 10, &mut out).expect("room");
+        assert_eq!(
+            Frame::parse(&out[range]),
+            Err(FrameError::HeaderInvalid),
+            "{name}"
+        );
+    }
+}
+
+/// CRC-16/IBM-3740, as the header's.
+fn crc16(bytes: &[u8]) -> u16 {
+    bytes.iter().fold(0xffff, |crc, byte| {
+        (0..8).fold(crc ^ (u16::from(*byte) << 8), |crc: u16, _| {
+            (crc << 1) ^ (0x1021 * (crc >> 15))
+        })
+    })
+}
+
+/// `frame` with its header's fields replaced, and a header checksum that is right again.
+fn with_fields(frame: &[u8], fields: &[u8]) -> Vec<u8> {
+    let mut changed = [&frame[..3], &[fields.len() as u8 + 6], fields].concat();
+    changed.extend(crc16(&changed).to_le_bytes());
+    changed.extend(&frame[usize::from(frame[3])..]);
+    changed
+}
+
+#[test]
+fn a_header_is_checked_before_it_is_trusted() {
+    let frame = frame(&header());
+    let fields = &frame[4..usize::from(frame[3]) - 2];
+    assert_eq!(with_fields(&frame, fields), frame);
+    let parse = |fields: &[u8]| Frame::parse(&with_fields(&frame, fields)).map(|_| ());
+    assert_eq!(
+        parse(&[fields, &[0]].concat()),
+        Err(FrameError::HeaderInvalid),
+        "a byte after the fields"
+    );
+    let most = [&[0xff, 0xff, 0xff, 0xff, 0x0f], &fields[1..]].concat();
+    assert_eq!(
+        parse(&most),
+        Err(FrameError::HeaderInvalid),
+        "a payload of 2^32 - 1 bytes"
+    );
+    // 2^24 is more than a frame with its header; 2^23 is awaited.
+    let large = [&[0x80, 0x80, 0x80, 0x08], &fields[1..]].concat();
+    assert_eq!(parse(&large), Err(FrameError::HeaderInvalid));
+    let awaited = [&[0x80, 0x80, 0x80, 0x04], &fields[1..]].concat();
+    assert_eq!(parse(&awaited), Err(FrameError::Incomplete));
+    // A damaged length is noticed before a byte of the payload has come.
+    let mut damaged = frame[..usize::from(frame[3])].to_vec();
+    damaged[4] ^= 0x40;
+    assert_eq!(Frame::parse(&damaged), Err(FrameError::HeaderDamaged));
+}
+
+#[test]
+fn a_payload_that_contradicts_its_header_is_refused() {
+    assert_eq!(unpack_error(&frame(&header())), None);
+    let mut more_events = header();
+    more_events.events = 2;
+    assert_eq!(
+        unpack_error(&frame(&more_events)),
+        Some(UnpackError::Events)
+    );
+    let mut more_pixels = header();
+    (more_pixels.events, more_pixels.pixels) = (2, 2);
+    assert!(unpack_error(&frame(&more_pixels)).is_some());
+    let mut out = [0; 200];
+    let range = seal(
+        &Header {
+            events: 0,
+            pixels: 0,
+            ..header()
+        },
+        1,
+        &mut out,
+    )
+    .expect("room");
+    assert_eq!(unpack_error(&out[range]), Some(UnpackError::Trailing));
+
+    let good = Header {
+        sequence: 1,
+        last: true,
+        ..header()
+    };
+    let stream = [frame(&more_events), frame(&good)].concat();
+    let mut windows = WindowReader::new(FrameReader::new(&stream[..]));
+    assert!(windows.next_window().expect("memory").is_some());
+    assert!(windows.next_window().expect("memory").is_none());
+    assert_eq!(windows.report().frames_malformed, 1);
+}
+
+/// Headers of the windows that frames with these headers, numbered in order, make; and how many
+/// frames were read when each window came.
+fn windows(headers: &[Header]) -> Vec<(Header, usize, u64)> {
+    let stream: Vec<u8> = (0..)
+        .zip(headers)
+        .flat_map(|(sequence, header)| {
+            frame(&Header {
+                sequence,
+                ..*header
+            })
+        })
+        .collect();
+    let mut reader = WindowReader::new(FrameReader::new(&stream[..]));
+    let mut windows = Vec::new();
+    while let Some(window) = reader.next_window().expect("memory") {
+        let Header { sensor, grid, .. } = window.header;
+        for pixel in &window.pixels {
+            assert!(sensor.contains(pixel.x, pixel.y));
+            assert!(pixel.coefficients.iter().all(|(k, ..)| *k < grid));
+        }
+        windows.push((window.header, window.pixels.len(), reader.report().frames));
+    }
+    windows
+}
+
+#[test]
+fn only_parts_of_one_window_are_put_together() {
+    let first = header();
+    let second = Header {
+        part: 1,
+        last: true,
+        ..first
+    };
+    let shapes = |headers: &[Header]| -> Vec<usize> {
+        windows(headers).iter().map(|window| window.1).collect()
+    };
+    assert_eq!(shapes(&[first, second]), [2]);
+    // The last part closes the window without a look at the next frame.
+    assert_eq!(windows(&[first, second, first])[0].2, 2);
+    // A window of the same start begins with part 0, also after one whose end was lost.
+    assert_eq!(shapes(&[first, first, second]), [1, 2]);
+    let changes: [fn(&mut Header); 7] = [
+        |h| h.sensor.width = 64,
+        |h| h.grid = 32,
+        |h| h.m = 9,
+        |h| h.transform = Transform::Dtft,
+        |h| h.quantiser = Quantiser::new(0).expect("in range"),
+        |h| h.window_events = 3,
+        |h| h.duration_us = 999,
+    ];
+    for change in changes {
+        let mut other = second;
+        change(&mut other);
+        assert_eq!(shapes(&[first, other]), [1, 1], "{other:?}");
+    }
+}
+
+#[test]
+fn endless_parts_do_not_grow_a_window() {
+    let parts: Vec<_> = (0..20).map(|part| Header { part, ..header() }).collect();
+    let windows = windows(&parts);
+    assert_eq!(windows.len(), 10);
+    assert!(windows.iter().all(|window| window.1 == 2));
+}
+
+#[test]
+fn frames_claimed_inside_of_each_other_cost_no_more_than_their_length() {
+    // Sound headers end to end, each of which claims the 16 MB that follow. Checking every one of
+    // them would take an hour.
+    let mut out = vec![0; FRAME_BYTES_MAX];
+    let payload_bytes = FRAME_BYTES_MAX - 200;
+    let range = seal(&header(), payload_bytes, &mut out).expect("room");
+    let start = range.start;
+    let header_bytes = usize::from(out[start + 3]);
+    let claim = out[start..start + header_bytes].to_vec();
+    let mut stream: Vec<u8> = claim.into_iter().cycle().take(40_000_000).collect();
+    let mut reader = FrameReader::new(&stream[..]);
+    assert!(reader.next_frame().expect("memory").is_none());
+    assert_eq!(reader.report().damaged_bytes, 40_000_000);
+    assert_eq!(reader.report().damaged_runs, 1);
+
+    // Four of them, and a frame inside is still found.
+    stream.truncate(4 * header_bytes);
+    stream.extend(frame(&header()));
+    stream.resize(FRAME_BYTES_MAX + 4 * header_bytes, 0);
+    let mut reader = FrameReader::new(&stream[..]);
+    let found = reader.next_frame().expect("memory").expect("a frame");
+    assert_eq!(found.offset, 4 * header_bytes as u64);
+}
