@@ -393,6 +393,10 @@ fn what_cannot_be_written_is_status_1_and_named() {
         ("calibrate scene.raw -o none/t.toml", "none/t.toml"),
         ("monitor scene.raw --chart none/c.svg", "none/c.svg"),
         ("emulate motorcycle -o b.doc", "b.doc"),
+        (
+            "emulate motorcycle -o b.csv --start-us 18446744073700000000",
+            "b.csv: event 0",
+        ),
         ("demo -o scene.raw", "scene.raw"),
     ] {
         folder.eecvs(line).fails(&[name]);
