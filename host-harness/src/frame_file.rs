@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use eecvs_nostd::frame::SYNC;
 use eecvs_nostd::{Frame, FrameError, Header, Order, Scan, Sequence, scan};
 use serde::Serialize;
@@ -50,20 +50,24 @@ impl LinkReport {
         if self.is_clean() {
             return None;
         }
-        let first = match &self.first_damage {
-            Some((offset, why)) => format!(", the first at byte {offset}: {why}"),
-            None => String::new(),
-        };
-        Some(format!(
-            "{} bytes in {} places belong to no frame{first}; frames lost {}, repeated {}, \
-             reordered {}, malformed {}; everything else was used",
-            self.damaged_bytes,
-            self.damaged_runs,
-            self.frames_lost,
-            self.frames_repeated,
-            self.frames_reordered,
-            self.frames_malformed,
-        ))
+        let mut met = Vec::new();
+        if let Some((offset, why)) = &self.first_damage {
+            met.push(format!(
+                "{} damaged bytes in {} places, the first at byte {offset}: {why}",
+                self.damaged_bytes, self.damaged_runs
+            ));
+        }
+        for (frames, what) in [
+            (self.frames_lost, "lost"),
+            (self.frames_repeated, "repeated"),
+            (self.frames_reordered, "out of order"),
+            (self.frames_malformed, "malformed"),
+        ] {
+            if frames > 0 {
+                met.push(format!("frames {what}: {frames}"));
+            }
+        }
+        Some(format!("{}; everything else was used", met.join("; ")))
     }
 }
 
@@ -94,9 +98,12 @@ impl FrameReader<File> {
     /// Opens a file of frames.
     ///
     /// # Errors
-    /// A file that cannot be opened.
+    /// A file that cannot be opened, a directory.
     pub fn open(path: &Path) -> Result<Self> {
-        let file = File::open(path).with_context(|| format!("{}: cannot open", path.display()))?;
+        let name = path.display();
+        let file = File::open(path).with_context(|| format!("{name}: cannot open"))?;
+        let directory = file.metadata().is_ok_and(|metadata| metadata.is_dir());
+        ensure!(!directory, "{name}: is a directory, not a file of frames");
         Ok(Self::new(file))
     }
 }

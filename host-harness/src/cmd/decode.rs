@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use clap::Args;
 
 use super::output::{print, print_json, rows};
@@ -83,8 +83,7 @@ impl Decode {
                 _ => Ok(()),
             },
             &mut |events| progress.set(events),
-        )
-        .with_context(|| format!("{name}"));
+        );
         drop(progress);
         if summary.is_err() && created {
             self.output.iter().for_each(|path| remove_partial(path));
