@@ -1,114 +1,12 @@
-//! Decoding from the command line: events, volumes and bins against the f64 reference, files
-//! cut into many frames, damaged files, and the demo.
+//! Decoding from the command line: every format, files of many frames, damaged files, odd
+//! settings, and the demo.
 
 mod cli_support;
 
-use std::num::{NonZeroU32, NonZeroUsize};
-
-use cli_support::{Folder, count, text};
-use host_harness::reference::reconstruct::bins;
-use host_harness::reference::transform::Transform;
-use host_harness::reference::window::{HOST_CAPACITY, Window, windows};
-use host_harness::reference::{coefficients, impulses};
-use num_complex::Complex64;
+use cli_support::{Folder, count};
 use serde_json::Value;
 
-const WINDOW_US: NonZeroU32 = NonZeroU32::new(32_768).unwrap();
-
-fn by_name(name: &str) -> Transform {
-    match name {
-        "dct" => Transform::Dct,
-        "dtft" => Transform::Dtft,
-        "dwt" => Transform::Dwt,
-        other => panic!("{other} is no transform"),
-    }
-}
-
-/// Coefficients of each pixel (y, x) as a volume in basis order has them.
-struct Volume {
-    transform: Transform,
-    shape: [usize; 3],
-    values: Vec<f32>,
-}
-
-impl Volume {
-    fn read(folder: &Folder, name: &str, transform: Transform) -> Self {
-        let (shape, values) = folder.npy(name);
-        Self {
-            transform,
-            shape,
-            values,
-        }
-    }
-
-    fn pixel(&self, y: usize, x: usize) -> Vec<Complex64> {
-        let [channels, height, width] = self.shape;
-        let at = |c: usize| f64::from(self.values[(c * height + y) * width + x]);
-        if self.transform == Transform::Dtft {
-            (0..channels / 2)
-                .map(|k| Complex64::new(at(2 * k), at(2 * k + 1)))
-                .collect()
-        } else {
-            (0..channels).map(|k| Complex64::from(at(k))).collect()
-        }
-    }
-}
-
-/// Compares every pixel of a volume with the reference: kept coefficients within
-/// n 2^-14 + step / 2, the others 0; the kept ones are the r largest (DCT: the first r), where the
-/// bound leaves no doubt which these are.
-fn check_volume(volume: &Volume, window: &Window, m: usize, grid: usize, step: f64) {
-    let transform = volume.transform;
-    let [channels, height, width] = volume.shape;
-    let parts = if transform == Transform::Dtft { 2 } else { 1 };
-    assert_eq!(channels, parts * grid);
-    let reference = coefficients(window, transform, grid);
-    let counts = impulses(window);
-    let r = m.min(grid);
-    for y in 0..height {
-        for x in 0..width {
-            let values = volume.pixel(y, x);
-            let key = (y as u16, x as u16);
-            let Some(c) = reference.get(&key) else {
-                assert!(values.iter().all(|v| *v == Complex64::ZERO), "{key:?}");
-                continue;
-            };
-            let n = counts[&key].len() as f64;
-            let kernel = n * 0.5_f64.powi(14);
-            let bound = kernel + step / 2.0 + 1e-5;
-            let mut magnitudes: Vec<f64> = c.iter().map(|c| c.norm()).collect();
-            magnitudes.sort_by(|a, b| b.total_cmp(a));
-            let least_kept = magnitudes[r - 1];
-            assert!(values.iter().filter(|v| **v != Complex64::ZERO).count() <= r);
-            for (k, (value, c)) in values.iter().zip(c).enumerate() {
-                let (kept, pruned) = match transform {
-                    Transform::Dct => (k < r, k >= r),
-                    _ => (
-                        c.norm() > least_kept + 4.0 * kernel,
-                        c.norm() < least_kept - 4.0 * kernel,
-                    ),
-                };
-                let close = (value.re - c.re).abs() <= bound && (value.im - c.im).abs() <= bound;
-                let zero = *value == Complex64::ZERO;
-                let right = match (kept, pruned) {
-                    (true, _) => close,
-                    (_, true) => zero,
-                    _ => close || zero,
-                };
-                assert!(
-                    right,
-                    "{transform:?} {key:?} k = {k}: {value} for {c}, n = {n}"
-                );
-            }
-            // One event is as strong at every frequency: the tie goes to the lower k.
-            if n == 1.0 && transform == Transform::Dtft {
-                assert!(values[r..].iter().all(|v| *v == Complex64::ZERO), "{key:?}");
-            }
-        }
-    }
-}
-
-/// Events of each window that `inspect` lists.
+/// What `inspect` says of every frame.
 fn rows(folder: &Folder, name: &str) -> Vec<Value> {
     folder.eecvs(&format!("inspect {name} --json")).ok().array()
 }
@@ -152,76 +50,6 @@ fn every_format_holds_the_right_events_per_pixel_and_polarity() {
         let n = decoded.iter().filter(|e| inside.contains(&e.t_us)).count();
         assert_eq!(n as u64, count(&row, "events"), "{row}");
     }
-}
-
-#[test]
-fn volumes_and_bins_equal_the_reference() {
-    let folder = Folder::new();
-    folder.scene("scene.raw");
-    let (sensor, events) = folder.events("scene.raw");
-    let windows = windows(&events, WINDOW_US, HOST_CAPACITY);
-    for (flags, m) in [
-        ("", 16),
-        ("--transform dct -m 8", 8),
-        ("--transform dtft -m 8", 8),
-        ("--transform dwt -m 8", 8),
-        ("--transform dwt -m 24", 24),
-        ("--transform dtft -m 24 --step-log2 -15", 24),
-        ("--transform dct -m 8 --grid 20 --step-log2 0", 8),
-        ("--transform dtft -m 9 --grid 9", 9),
-        ("--transform dwt -m 3 --grid 33 --step-log2 -1", 3),
-        ("--transform dct -m 64 --grid 5", 64),
-        ("-m 1", 1),
-    ] {
-        folder
-            .eecvs(&format!("encode scene.raw -o a.eecvs {flags}"))
-            .ok();
-        let rows = rows(&folder, "a.eecvs");
-        assert_eq!(rows.len(), windows.len());
-        // The busiest and the last window: with `auto`, two transforms.
-        for index in [4, windows.len() - 1] {
-            let (row, window) = (&rows[index], &windows[index]);
-            let transform = by_name(text(row, "transform"));
-            let (grid, step) = (count(row, "grid") as usize, row["step"].as_f64().unwrap());
-            assert_eq!(count(row, "m") as usize, m);
-            let line = format!("decode a.eecvs --volume v.npy --window {index}");
-            folder.eecvs(&line).ok();
-            let volume = Volume::read(&folder, "v.npy", transform);
-            let size = [usize::from(sensor.height), usize::from(sensor.width)];
-            assert_eq!(volume.shape[1..], size);
-            check_volume(&volume, window, m, grid, step);
-
-            let count = [1, 5, 32][index % 3];
-            let line = format!("decode a.eecvs --volume b.npy --window {index} --bins {count}");
-            folder.eecvs(&line).ok();
-            let (shape, values) = folder.npy("b.npy");
-            assert_eq!(shape, [count, size[0], size[1]]);
-            for y in 0..size[0] {
-                for x in 0..size[1] {
-                    let expected = bins(transform, &volume.pixel(y, x), count);
-                    for (b, expected) in expected.iter().enumerate() {
-                        let value = f64::from(values[(b * size[0] + y) * size[1] + x]);
-                        assert!(
-                            (value - expected).abs() < 1e-4,
-                            "{flags}: bin {b} of ({y}, {x}): {value} for {expected}"
-                        );
-                    }
-                }
-            }
-        }
-    }
-    // Events and a volume in one go; a window that is not there.
-    folder.eecvs("decode a.eecvs -o b.csv --volume w.npy").ok();
-    assert_eq!(folder.pixels("b.csv"), folder.pixels("scene.raw"));
-    assert_eq!(folder.npy("w.npy").0[0], 1);
-    let missing = windows.len();
-    folder
-        .eecvs(&format!("decode a.eecvs --volume x.npy --window {missing}"))
-        .fails(&[
-            "a.eecvs",
-            &format!("no window {missing}"),
-            &format!("has {missing}"),
-        ]);
 }
 
 #[test]
@@ -333,6 +161,41 @@ fn a_damaged_file_gives_everything_that_is_whole() {
 }
 
 #[test]
+fn windows_are_numbered_as_decode_counts_them_where_their_first_frame_is_lost() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    folder
+        .eecvs("encode scene.raw -o a.eecvs --frame-bytes 1208")
+        .ok();
+    let mut frames = folder.frames("a.eecvs");
+    let third = rows(&folder, "a.eecvs")
+        .iter()
+        .position(|row| count(row, "window") == 2)
+        .unwrap();
+    frames.remove(third);
+    folder.write("lost.eecvs", frames.concat());
+    let rows = folder.eecvs("inspect lost.eecvs --json").array();
+    let orphan = &rows[third];
+    assert_eq!((count(orphan, "window"), count(orphan, "part")), (2, 1));
+    for window in 0..=count(&rows[rows.len() - 1], "window") {
+        let of_window = |row: &&Value| count(row, "window") == window;
+        let pixels: u64 = rows
+            .iter()
+            .filter(of_window)
+            .map(|row| count(row, "pixels"))
+            .sum();
+        let line = format!("decode lost.eecvs --volume v.npy --window {window} --bins 4096");
+        folder.eecvs(&line).warns(&["lost.eecvs", "frames lost: 1"]);
+        let (shape, values) = folder.npy("v.npy");
+        let plane = shape[1] * shape[2];
+        let active = (0..plane)
+            .filter(|pixel| values.iter().skip(*pixel).step_by(plane).any(|v| *v != 0.0))
+            .count();
+        assert_eq!(active as u64, pixels, "window {window}");
+    }
+}
+
+#[test]
 fn a_truncated_file_gives_its_whole_frames() {
     let folder = Folder::new();
     folder.scene("scene.raw");
@@ -431,7 +294,10 @@ fn odd_sizes_and_settings_keep_every_event() {
 #[test]
 fn the_demo_writes_pictures_and_a_report() {
     let folder = Folder::new();
-    let said = folder.eecvs("demo -o results/new").ok().stdout;
+    let said = folder
+        .eecvs("demo -o results/new --scene indoor-dark-hdr")
+        .ok()
+        .stdout;
     assert!(said.contains("report.html"), "{said}");
     let mut kinds = [0; 2];
     let report = String::from_utf8(folder.bytes("results/new/report.html")).unwrap();
@@ -468,22 +334,4 @@ fn the_demo_writes_pictures_and_a_report() {
         .eecvs("encode results/new/scene.raw -o b.eecvs --thresholds results/new/thresholds.toml")
         .ok();
     assert!(folder.bytes("b.eecvs") == folder.bytes("results/new/auto.eecvs"));
-}
-
-#[test]
-fn a_window_closed_early_has_its_own_volume() {
-    let folder = Folder::new();
-    folder.scene("scene.raw");
-    folder
-        .eecvs("encode scene.raw -o a.eecvs --window-events 700 --transform dtft -m 12")
-        .ok();
-    let events = folder.events("scene.raw").1;
-    let windows = windows(&events, WINDOW_US, NonZeroUsize::new(700).unwrap());
-    let early = windows.iter().position(|w| w.duration_us < WINDOW_US.get());
-    let index = early.expect("a window closed early");
-    folder
-        .eecvs(&format!("decode a.eecvs --volume v.npy --window {index}"))
-        .ok();
-    let volume = Volume::read(&folder, "v.npy", Transform::Dtft);
-    check_volume(&volume, &windows[index], 12, 24, 1.0 / 64.0);
 }

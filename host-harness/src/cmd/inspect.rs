@@ -8,6 +8,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::frame_file::{FrameReader, Located};
+use crate::reconstruct::same_window;
 
 /// Print one row per frame of a file
 #[derive(Debug, Args)]
@@ -58,11 +59,17 @@ impl Inspect {
         let mut out = stdout().lock();
         let mut index = 0;
         let mut windows = 0;
+        let mut open = None;
         while let Some(located) = reader
             .next_frame()
             .with_context(|| format!("{name}: cannot read"))?
         {
-            windows += u64::from(located.frame.header.part == 0);
+            // As decoding counts windows, so that --window takes the number; the first frame of a
+            // window may be lost.
+            let header = located.frame.header;
+            let goes_on = open.is_some_and(|earlier| same_window(&earlier, &header));
+            windows += u64::from(header.events > 0 && !goes_on);
+            open = (header.events > 0 && !header.last).then_some(header);
             let row = Row::new(index, windows.max(1) - 1, &located);
             if self.json {
                 // The bracket waits for a frame: a file without one leaves stdout empty.
