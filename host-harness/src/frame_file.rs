@@ -5,12 +5,14 @@ use std::io::Read;
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use eecvs_nostd::frame::SYNC;
+use eecvs_nostd::frame::{CRC_BYTES, SYNC};
 use eecvs_nostd::{Frame, FrameError, Header, Order, Scan, Sequence, scan};
 use serde::Serialize;
 
 /// Bytes asked of the source at a time.
 const READ_BYTES: usize = 1 << 16;
+/// Frames that are remembered: as many as [`Sequence`] does.
+const RECENT: usize = 64;
 
 /// What a reader met besides frames in order.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
@@ -29,6 +31,9 @@ pub struct LinkReport {
     pub frames_repeated: u64,
     /// Frames that came after a later one; delivered where they came.
     pub frames_reordered: u64,
+    /// Times that the sequence numbers began anew: files put together, or an encoder that was
+    /// started again. Nothing is left out there.
+    pub restarts: u64,
     /// Frames whose checksums match but whose payload contradicts its header.
     pub frames_malformed: u64,
 }
@@ -67,6 +72,12 @@ impl LinkReport {
                 met.push(format!("frames {what}: {frames}"));
             }
         }
+        if self.restarts > 0 {
+            met.push(format!(
+                "new beginnings of the numbering: {}",
+                self.restarts
+            ));
+        }
         Some(format!("{}; everything else was used", met.join("; ")))
     }
 }
@@ -91,6 +102,9 @@ pub struct FrameReader<R> {
     in_damage: bool,
     ended: bool,
     sequence: Sequence,
+    /// Sequence number and CRC-32 of the frames that came last, at number modulo the length.
+    recent: [Option<(u32, [u8; CRC_BYTES])>; RECENT],
+    newest_t0_us: u64,
     report: LinkReport,
 }
 
@@ -119,6 +133,8 @@ impl<R: Read> FrameReader<R> {
             in_damage: false,
             ended: false,
             sequence: Sequence::new(),
+            recent: [None; RECENT],
+            newest_t0_us: 0,
             report: LinkReport::default(),
         }
     }
@@ -143,11 +159,13 @@ impl<R: Read> FrameReader<R> {
             match scan(&self.buffer[self.start..]) {
                 Scan::Frame(frame) => {
                     let bytes = frame.bytes;
-                    let payload_start =
-                        self.start + bytes - frame.payload.len() - eecvs_nostd::frame::CRC_BYTES;
+                    let payload_start = self.start + bytes - frame.payload.len() - CRC_BYTES;
                     let header = frame.header;
+                    let mut crc = [0; CRC_BYTES];
+                    let crc_start = payload_start + frame.payload.len();
+                    crc.copy_from_slice(&self.buffer[crc_start..crc_start + CRC_BYTES]);
                     self.in_damage = false;
-                    if self.take(&header) {
+                    if self.take(&header, crc) {
                         break (header, payload_start, bytes);
                     }
                     self.advance(bytes);
@@ -166,7 +184,7 @@ impl<R: Read> FrameReader<R> {
         };
         let offset = self.offset;
         self.advance(bytes);
-        let payload_end = self.start - eecvs_nostd::frame::CRC_BYTES;
+        let payload_end = self.start - CRC_BYTES;
         let payload = &self.buffer[payload_start..payload_end];
         Ok(Some(Located {
             frame: Frame {
@@ -179,8 +197,17 @@ impl<R: Read> FrameReader<R> {
     }
 
     /// Counts a frame's place in the sequence; whether it is to be delivered.
-    fn take(&mut self, header: &Header) -> bool {
-        match self.sequence.follow(header.sequence) {
+    fn take(&mut self, header: &Header, crc: [u8; CRC_BYTES]) -> bool {
+        let number = header.sequence;
+        let mut order = self.sequence.follow(number);
+        if order == Order::Repeated && self.begins_anew(header, crc) {
+            self.report.restarts += 1;
+            self.recent = [None; RECENT];
+            self.newest_t0_us = 0;
+            self.sequence = Sequence::new();
+            order = self.sequence.follow(number);
+        }
+        match order {
             Order::InOrder => {}
             Order::Lost(frames) => self.report.frames_lost += u64::from(frames),
             Order::Reordered => {
@@ -193,7 +220,19 @@ impl<R: Read> FrameReader<R> {
             }
         }
         self.report.frames += 1;
+        self.recent[number as usize % RECENT] = Some((number, crc));
+        self.newest_t0_us = self.newest_t0_us.max(header.t0_us);
         true
+    }
+
+    /// Whether a number that has come before is another frame's: of another file put behind the
+    /// first, or of an encoder that was started again.
+    fn begins_anew(&self, header: &Header, crc: [u8; CRC_BYTES]) -> bool {
+        match self.recent[header.sequence as usize % RECENT] {
+            Some((number, seen)) if number == header.sequence => seen != crc,
+            // Too old to be remembered: a repeated frame is neither new nor an encoder's first.
+            _ => header.sequence == 0 || header.t0_us > self.newest_t0_us,
+        }
     }
 
     fn advance(&mut self, bytes: usize) {

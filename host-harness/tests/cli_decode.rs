@@ -196,6 +196,47 @@ fn windows_are_numbered_as_decode_counts_them_where_their_first_frame_is_lost() 
 }
 
 #[test]
+fn files_put_together_decode_whole() {
+    let folder = Folder::new();
+    folder.scene("one.csv");
+    folder
+        .eecvs("emulate motorcycle -o two.csv --seed 2 --width 40 --height 30 --duration-us 150000")
+        .ok();
+    // More frames than a reader remembers, then as many or fewer; at the same time and later.
+    for (one, two) in [(1000, 32_768), (32_768, 1000), (32_768, 32_768)] {
+        for (name, window_us) in [("one", one), ("two", two)] {
+            folder
+                .eecvs(&format!(
+                    "encode {name}.csv -o {name}.eecvs --window-us {window_us}"
+                ))
+                .ok();
+        }
+        let (a, b) = (folder.bytes("one.eecvs"), folder.bytes("two.eecvs"));
+        folder.write("both.eecvs", [a.clone(), b].concat());
+        let outcome = folder.eecvs("decode both.eecvs -o both.csv --json");
+        let summary = outcome.object();
+        outcome.warns(&["both.eecvs", "numbering: 1"]);
+        assert_eq!(count(&summary, "restarts"), 1);
+        assert_eq!(count(&summary, "frames_repeated"), 0, "{summary}");
+        assert_eq!(count(&summary, "frames_lost"), 0, "{summary}");
+        let mut expected = folder.pixels("one.csv");
+        expected.extend(folder.pixels("two.csv"));
+        expected.sort_unstable();
+        assert_eq!(folder.pixels("both.csv"), expected, "{one} {two}");
+    }
+    // The same frames once more are no new ones.
+    let a = folder.bytes("one.eecvs");
+    folder.write("twice.eecvs", [a.clone(), a].concat());
+    let summary = folder.eecvs("decode twice.eecvs -o b.csv --json").object();
+    assert_eq!(count(&summary, "restarts"), 0);
+    assert_eq!(
+        count(&summary, "frames_repeated"),
+        count(&summary, "frames")
+    );
+    assert_eq!(folder.pixels("b.csv"), folder.pixels("one.csv"));
+}
+
+#[test]
 fn a_truncated_file_gives_its_whole_frames() {
     let folder = Folder::new();
     folder.scene("scene.raw");
