@@ -20,7 +20,7 @@ pub fn print(text: &str) -> Result<()> {
 /// Prints one JSON value and a newline.
 ///
 /// # Errors
-/// As [`print`].
+/// As [`fn@print`].
 pub fn print_json(value: &impl Serialize) -> Result<()> {
     print(&format!("{}\n", serde_json::to_string(value)?))
 }

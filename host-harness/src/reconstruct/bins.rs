@@ -1,6 +1,6 @@
 //! The inverse transform as a volume of B time bins, the same array for every transform.
 //!
-//! V[b] = integral of s_hat(u) over [b/B, (b+1)/B), where s_hat is the signal that the kept
+//! V\[b\] = integral of s_hat(u) over [b/B, (b+1)/B), where s_hat is the signal that the kept
 //! coefficients describe:
 //!
 //! * DCT: s_hat(u) = c_0 + 2 sum_k c_k cos(pi k u)
@@ -40,7 +40,7 @@ impl Bins {
         Self { bins, weights }
     }
 
-    /// V[b] of one pixel, for one bin.
+    /// V\[b\] of one pixel, for one bin.
     #[must_use]
     pub fn value(&self, pixel: &Pixel, bin: usize) -> f64 {
         pixel
