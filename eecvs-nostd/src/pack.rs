@@ -486,7 +486,8 @@ mod tests {
     fn a_pixel_has_one_encoding() {
         let set = packing(Transform::Dwt, 4, 16, 0);
         let listed = |first: u32, second: u32, level| {
-            let fields = [(2, 3), (0, 1), (first, 4), (second, 4), ONE, level];
+            // A Haar level of 1 moves down to the code of 0.
+            let fields = [(2, 3), (0, 1), (first, 4), (second, 4), ZERO, level];
             unpack(set, &fields)
         };
         assert_eq!(
@@ -496,7 +497,9 @@ mod tests {
         let refused = Err(UnpackError::Levels);
         assert_eq!(listed(5, 5, MINUS_ONE), refused, "an index twice");
         assert_eq!(listed(5, 3, MINUS_ONE), refused, "descending indices");
-        assert_eq!(listed(3, 5, ZERO), refused, "a level of 0");
+        let complex = packing(Transform::Dtft, 4, 16, 0);
+        let fields = [(1, 3), (0, 1), (3, 4), ZERO, ZERO];
+        assert_eq!(unpack(complex, &fields), refused, "a level of 0");
         assert_eq!(unpack(set, &[(5, 3), (1, 1)]), refused, "more than M");
 
         let run = packing(Transform::Dct, 4, 4, 0);

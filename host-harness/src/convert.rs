@@ -6,6 +6,7 @@ use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
 use crate::formats;
+use crate::output_file::{refuse_same_file, remove_partial};
 
 /// A rectangle of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -106,17 +107,11 @@ pub fn convert(
     let sensor = filter
         .sensor(reader.sensor())
         .with_context(|| format!("{}: cannot be cropped", input.display()))?;
-    let same = input.canonicalize().ok().zip(output.canonicalize().ok());
-    anyhow::ensure!(
-        same.is_none_or(|(input, output)| input != output),
-        "{}: input and output are the same file",
-        input.display()
-    );
+    refuse_same_file(input, output)?;
     let writer = formats::create(output, sensor)?;
     let result = copy(reader.as_mut(), writer, filter);
     if result.is_err() {
-        // The error says what happened; a half file must not pass for a recording.
-        let _ = std::fs::remove_file(output);
+        remove_partial(output);
     }
     result
 }

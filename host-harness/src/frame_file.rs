@@ -4,13 +4,15 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use anyhow::{Context, Result};
-use eecvs_nostd::frame::SYNC;
+use anyhow::{Context, Result, ensure};
+use eecvs_nostd::frame::{CRC_BYTES, SYNC};
 use eecvs_nostd::{FRAME_BYTES_MAX, Frame, FrameError, Header, Order, Scan, Sequence, scan};
 use serde::Serialize;
 
 /// Bytes asked of the source at a time.
 const READ_BYTES: usize = 1 << 16;
+/// Frames that are remembered: as many as [`Sequence`] does.
+const RECENT: usize = 64;
 
 /// What a reader met besides frames in order.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
@@ -29,6 +31,9 @@ pub struct LinkReport {
     pub frames_repeated: u64,
     /// Frames that came after a later one; delivered where they came.
     pub frames_reordered: u64,
+    /// Times that the sequence numbers began anew: files put together, or an encoder that was
+    /// started again. Nothing is left out there.
+    pub restarts: u64,
     /// Frames whose checksums match but whose payload contradicts its header.
     pub frames_malformed: u64,
 }
@@ -50,20 +55,30 @@ impl LinkReport {
         if self.is_clean() {
             return None;
         }
-        let first = match &self.first_damage {
-            Some((offset, why)) => format!(", the first at byte {offset}: {why}"),
-            None => String::new(),
-        };
-        Some(format!(
-            "{} bytes in {} places belong to no frame{first}; frames lost {}, repeated {}, \
-             reordered {}, malformed {}; everything else was used",
-            self.damaged_bytes,
-            self.damaged_runs,
-            self.frames_lost,
-            self.frames_repeated,
-            self.frames_reordered,
-            self.frames_malformed,
-        ))
+        let mut met = Vec::new();
+        if let Some((offset, why)) = &self.first_damage {
+            met.push(format!(
+                "{} damaged bytes in {} places, the first at byte {offset}: {why}",
+                self.damaged_bytes, self.damaged_runs
+            ));
+        }
+        for (frames, what) in [
+            (self.frames_lost, "lost"),
+            (self.frames_repeated, "repeated"),
+            (self.frames_reordered, "out of order"),
+            (self.frames_malformed, "malformed"),
+        ] {
+            if frames > 0 {
+                met.push(format!("frames {what}: {frames}"));
+            }
+        }
+        if self.restarts > 0 {
+            met.push(format!(
+                "new beginnings of the numbering: {}",
+                self.restarts
+            ));
+        }
+        Some(format!("{}; everything else was used", met.join("; ")))
     }
 }
 
@@ -95,6 +110,9 @@ pub struct FrameReader<R> {
     rescanned: u64,
     ended: bool,
     sequence: Sequence,
+    /// Sequence number and CRC-32 of the frames that came last, at number modulo the length.
+    recent: [Option<(u32, [u8; CRC_BYTES])>; RECENT],
+    newest_t0_us: u64,
     report: LinkReport,
 }
 
@@ -102,9 +120,12 @@ impl FrameReader<File> {
     /// Opens a file of frames.
     ///
     /// # Errors
-    /// A file that cannot be opened.
+    /// A file that cannot be opened, a directory.
     pub fn open(path: &Path) -> Result<Self> {
-        let file = File::open(path).with_context(|| format!("{}: cannot open", path.display()))?;
+        let name = path.display();
+        let file = File::open(path).with_context(|| format!("{name}: cannot open"))?;
+        let directory = file.metadata().is_ok_and(|metadata| metadata.is_dir());
+        ensure!(!directory, "{name}: is a directory, not a file of frames");
         Ok(Self::new(file))
     }
 }
@@ -121,6 +142,8 @@ impl<R: Read> FrameReader<R> {
             rescanned: 0,
             ended: false,
             sequence: Sequence::new(),
+            recent: [None; RECENT],
+            newest_t0_us: 0,
             report: LinkReport::default(),
         }
     }
@@ -145,11 +168,13 @@ impl<R: Read> FrameReader<R> {
             match scan(&self.buffer[self.start..]) {
                 Scan::Frame(frame) => {
                     let bytes = frame.bytes;
-                    let payload_start =
-                        self.start + bytes - frame.payload.len() - eecvs_nostd::frame::CRC_BYTES;
+                    let payload_start = self.start + bytes - frame.payload.len() - CRC_BYTES;
                     let header = frame.header;
+                    let mut crc = [0; CRC_BYTES];
+                    let crc_start = payload_start + frame.payload.len();
+                    crc.copy_from_slice(&self.buffer[crc_start..crc_start + CRC_BYTES]);
                     self.in_damage = false;
-                    if self.take(&header) {
+                    if self.take(&header, crc) {
                         break (header, payload_start, bytes);
                     }
                     self.advance(bytes);
@@ -180,7 +205,7 @@ impl<R: Read> FrameReader<R> {
         };
         let offset = self.offset;
         self.advance(bytes);
-        let payload_end = self.start - eecvs_nostd::frame::CRC_BYTES;
+        let payload_end = self.start - CRC_BYTES;
         let payload = &self.buffer[payload_start..payload_end];
         Ok(Some(Located {
             frame: Frame {
@@ -193,8 +218,17 @@ impl<R: Read> FrameReader<R> {
     }
 
     /// Counts a frame's place in the sequence; whether it is to be delivered.
-    fn take(&mut self, header: &Header) -> bool {
-        match self.sequence.follow(header.sequence) {
+    fn take(&mut self, header: &Header, crc: [u8; CRC_BYTES]) -> bool {
+        let number = header.sequence;
+        let mut order = self.sequence.follow(number);
+        if order == Order::Repeated && self.begins_anew(header, crc) {
+            self.report.restarts += 1;
+            self.recent = [None; RECENT];
+            self.newest_t0_us = 0;
+            self.sequence = Sequence::new();
+            order = self.sequence.follow(number);
+        }
+        match order {
             Order::InOrder => {}
             Order::Lost(frames) => self.report.frames_lost += u64::from(frames),
             Order::Reordered => {
@@ -207,7 +241,19 @@ impl<R: Read> FrameReader<R> {
             }
         }
         self.report.frames += 1;
+        self.recent[number as usize % RECENT] = Some((number, crc));
+        self.newest_t0_us = self.newest_t0_us.max(header.t0_us);
         true
+    }
+
+    /// Whether a number that has come before is another frame's: of another file put behind the
+    /// first, or of an encoder that was started again.
+    fn begins_anew(&self, header: &Header, crc: [u8; CRC_BYTES]) -> bool {
+        match self.recent[header.sequence as usize % RECENT] {
+            Some((number, seen)) if number == header.sequence => seen != crc,
+            // Too old to be remembered: a repeated frame is neither new nor an encoder's first.
+            _ => header.sequence == 0 || header.t0_us > self.newest_t0_us,
+        }
     }
 
     fn advance(&mut self, bytes: usize) {

@@ -11,6 +11,7 @@ pub mod formats;
 pub mod frame_file;
 pub mod metrics;
 pub mod npy;
+pub mod output_file;
 pub mod progress;
 pub mod reconstruct;
 pub mod recording_info;

@@ -13,6 +13,7 @@ use super::output::{print, print_json};
 use crate::calibrate::{CalibratedThresholds, Calibration};
 use crate::exact_density::decimal;
 use crate::formats::{self, EventReader};
+use crate::output_file::refuse_same_file;
 use crate::progress::Progress;
 use crate::scene::{PRESETS, SceneConfig, emulate};
 use crate::thresholds_file::ThresholdsFile;
@@ -57,6 +58,9 @@ impl Calibrate {
     /// A recording that cannot be read to its end, recordings without events, or an output
     /// that cannot be written; the message names the file.
     pub fn run(self) -> anyhow::Result<()> {
+        for file in &self.files {
+            refuse_same_file(file, &self.output)?;
+        }
         let size = self.size.sensor();
         let mut calibration = Calibration::new(self.window_us);
         let mut skipped: BTreeMap<&'static str, u64> = BTreeMap::new();

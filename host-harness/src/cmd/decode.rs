@@ -10,6 +10,7 @@ use crate::decode::{DecodeSummary, WindowReader, decode};
 use crate::formats;
 use crate::frame_file::FrameReader;
 use crate::npy::write_planes;
+use crate::output_file::{refuse_same_file, remove_partial};
 use crate::progress::Progress;
 use crate::reconstruct::bins::Bins;
 use crate::reconstruct::{DecodedWindow, volume};
@@ -52,13 +53,26 @@ impl Decode {
     /// cannot be written.
     pub fn run(self) -> Result<()> {
         let name = self.input.display();
+        for output in self.output.iter().chain(&self.volume) {
+            refuse_same_file(&self.input, output)?;
+        }
+        ensure!(
+            self.output.is_none() || self.output != self.volume,
+            "{}: -o and --volume are the same file: give one of them another name",
+            self.output.as_deref().unwrap_or(&self.input).display()
+        );
         let mut windows = WindowReader::new(FrameReader::open(&self.input)?);
         let mut volume_written = false;
+        let mut created = false;
         let progress = Progress::new("events");
         let summary = decode(
             &mut windows,
             &mut |sensor| match &self.output {
-                Some(path) => formats::create(path, sensor).map(Some),
+                Some(path) => {
+                    let writer = formats::create(path, sensor)?;
+                    created = true;
+                    Ok(Some(writer))
+                }
                 None => Ok(None),
             },
             &mut |index, window| match &self.volume {
@@ -69,13 +83,17 @@ impl Decode {
                 _ => Ok(()),
             },
             &mut |events| progress.set(events),
-        )?;
+        );
         drop(progress);
-        if let Some(warning) = summary.link.warning() {
-            eprintln!("eecvs: {name}: {warning}");
+        if summary.is_err() && created {
+            self.output.iter().for_each(|path| remove_partial(path));
         }
+        let summary = summary?;
         if summary.link.frames == 0 {
             bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+        }
+        if let Some(warning) = summary.link.warning() {
+            eprintln!("eecvs: {name}: {warning}");
         }
         ensure!(
             volume_written || self.volume.is_none(),

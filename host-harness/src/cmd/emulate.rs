@@ -9,6 +9,7 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::output::print;
 use crate::formats::{self, EventReader, EventWriter};
+use crate::output_file::remove_partial;
 use crate::progress::Progress;
 use crate::scene::{self, Emulator, PRESETS, Preset, SceneConfig};
 
@@ -86,10 +87,8 @@ impl Emulate {
         let mut writer = formats::create(output, config.sensor)?;
         let begun = Instant::now();
         let written = write_scene(&mut emulator, writer.as_mut())
-            .with_context(|| format!("{}", output.display()))?;
-        writer
-            .finish()
-            .with_context(|| format!("{}", output.display()))?;
+            .and_then(|written| writer.finish().map(|()| written))
+            .inspect_err(|_| remove_partial(output))?;
         let seconds = begun.elapsed().as_secs_f64();
         print(&format!("{}\n", self.report(&config, written, seconds)))
     }

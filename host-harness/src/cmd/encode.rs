@@ -1,7 +1,5 @@
 //! `eecvs encode`: a recording to frames.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::num::NonZeroU32;
 use std::path::PathBuf;
 
@@ -13,6 +11,7 @@ use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json, rows};
 use crate::encode::{EncodeSummary, Limits, encode};
 use crate::formats;
+use crate::output_file::{OutputFile, refuse_same_file};
 use crate::progress::Progress;
 
 /// Encode a recording into frames
@@ -145,9 +144,8 @@ impl Encode {
     pub fn run(self) -> Result<()> {
         let mut reader = formats::open(&self.input, self.size.sensor())?;
         let config = self.codec.config(reader.sensor())?;
-        let name = self.output.display().to_string();
-        let file = File::create(&self.output).with_context(|| format!("{name}: cannot create"))?;
-        let mut out = BufWriter::new(file);
+        refuse_same_file(&self.input, &self.output)?;
+        let mut out = OutputFile::create(&self.output)?;
         let progress = Progress::new("events");
         let summary = encode(
             reader.as_mut(),
@@ -158,9 +156,15 @@ impl Encode {
                 progress.set(events);
             },
         )?;
-        out.flush()
-            .with_context(|| format!("{name}: cannot write"))?;
+        out.finish()?;
         drop(progress);
+        if summary.events_in == 0 {
+            eprintln!(
+                "eecvs: {}: holds no events: {} has no frame and cannot be decoded",
+                self.input.display(),
+                self.output.display()
+            );
+        }
         if self.json {
             print_json(&summary)
         } else {

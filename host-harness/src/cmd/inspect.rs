@@ -8,6 +8,7 @@ use clap::Args;
 use serde::Serialize;
 
 use crate::frame_file::{FrameReader, Located};
+use crate::reconstruct::same_window;
 
 /// Print one row per frame of a file
 #[derive(Debug, Args)]
@@ -58,30 +59,32 @@ impl Inspect {
         let mut out = stdout().lock();
         let mut index = 0;
         let mut windows = 0;
-        if self.json {
-            write!(out, "[").context("stdout")?;
-        } else {
-            writeln!(
-                out,
-                "{:>6} {:>6} {:>17} {:>9} {:>8} {:>8} {:>8} {:4} {:>3} {:>4} {:>9} {:>8} {:>5} {:>5} {:>5}",
-                "index", "seq", "t0_us", "dur_us", "events", "pixels", "regime", "tr", "m", "grid",
-                "step", "bytes", "late", "filt", "drop"
-            )
-            .context("stdout")?;
-        }
+        let mut open = None;
         while let Some(located) = reader
             .next_frame()
             .with_context(|| format!("{name}: cannot read"))?
         {
-            windows += u64::from(located.frame.header.part == 0);
+            // As decoding counts windows, so that --window takes the number; the first frame of a
+            // window may be lost.
+            let header = located.frame.header;
+            let goes_on = open.is_some_and(|earlier| same_window(&earlier, &header));
+            windows += u64::from(header.events > 0 && !goes_on);
+            open = (header.events > 0 && !header.last).then_some(header);
             let row = Row::new(index, windows.max(1) - 1, &located);
             if self.json {
-                let comma = if index == 0 { "" } else { "," };
-                write!(out, "{comma}\n{}", serde_json::to_string(&row)?).context("stdout")?;
+                // The bracket waits for a frame: a file without one leaves stdout empty.
+                let before = if index == 0 { '[' } else { ',' };
+                write!(out, "{before}\n{}", serde_json::to_string(&row)?).context("stdout")?;
             } else {
+                if index == 0 {
+                    Row::print_titles(&mut out).context("stdout")?;
+                }
                 row.print(&mut out).context("stdout")?;
             }
             index += 1;
+        }
+        if index == 0 {
+            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
         }
         if self.json {
             writeln!(out, "\n]").context("stdout")?;
@@ -89,9 +92,6 @@ impl Inspect {
         out.flush().context("stdout")?;
         if let Some(warning) = reader.report().warning() {
             eprintln!("eecvs: {name}: {warning}");
-        }
-        if index == 0 && reader.report().damaged_bytes > 0 {
-            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
         }
         Ok(())
     }
@@ -128,6 +128,28 @@ impl Row {
             saturated: header.saturated,
             truncated: header.truncated,
         }
+    }
+
+    fn print_titles(out: &mut impl Write) -> std::io::Result<()> {
+        writeln!(
+            out,
+            "{:>6} {:>6} {:>17} {:>9} {:>8} {:>8} {:>8} {:4} {:>3} {:>4} {:>9} {:>8} {:>5} {:>5} {:>5}",
+            "index",
+            "seq",
+            "t0_us",
+            "dur_us",
+            "events",
+            "pixels",
+            "regime",
+            "tr",
+            "m",
+            "grid",
+            "step",
+            "bytes",
+            "late",
+            "filt",
+            "drop"
+        )
     }
 
     fn print(&self, out: &mut impl Write) -> std::io::Result<()> {

@@ -12,6 +12,7 @@ use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json};
 use crate::density_series::{WindowDensity, of_frames, of_recording};
 use crate::frame_file::is_frame_file;
+use crate::output_file::refuse_same_file;
 use crate::report::chart;
 
 /// Columns of a bar.
@@ -55,6 +56,9 @@ impl Monitor {
     /// # Errors
     /// An input that cannot be read, a chart that cannot be written.
     pub fn run(self) -> Result<()> {
+        for chart in self.chart.iter().chain(&self.histogram) {
+            refuse_same_file(&self.input, chart)?;
+        }
         let thresholds = self.thresholds.load()?;
         let mut windows = Vec::new();
         let mut keep = |window| {

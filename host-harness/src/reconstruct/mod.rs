@@ -74,11 +74,7 @@ impl DecodedWindow {
     /// Whether `header` belongs to this window too.
     #[must_use]
     pub fn has_part(&self, header: &Header) -> bool {
-        let own = &self.header;
-        (own.t0_us, own.duration_us, own.packing())
-            == (header.t0_us, header.duration_us, header.packing())
-            // Parts count up: windows that share a start are told apart by it.
-            && header.part > 0
+        same_window(&self.header, header)
     }
 
     /// Channels of its coefficient volume: K, or 2K for complex coefficients.
@@ -91,6 +87,14 @@ impl DecodedWindow {
             grid
         }
     }
+}
+
+/// Whether the frame of `header` belongs to the window of `earlier`, a frame before it.
+#[must_use]
+pub fn same_window(earlier: &Header, header: &Header) -> bool {
+    let window = |h: &Header| (h.t0_us, h.duration_us, h.packing());
+    // Parts count up: windows that share a start are told apart by it.
+    window(earlier) == window(header) && header.part > 0
 }
 
 /// 2^(j/2) of Haar coefficient k = 2^j + m, and its support [start, end) in units of u.
