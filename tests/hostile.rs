@@ -65,7 +65,8 @@ fn unpack_error(frame: &[u8]) -> Option<UnpackError> {
 #[test]
 fn header_fields_out_of_range_are_refused() {
     assert!(Frame::parse(&frame(&header())).is_ok());
-    let cases: [(&str, fn(&mut Header)); 13] = [
+    type Change = fn(&mut Header);
+    let cases: [(&str, Change); 13] = [
         ("M of 0", |h| h.m = 0),
         ("M of 65", |h| h.m = 65),
         ("grid of 0", |h| h.grid = 0),
@@ -81,7 +82,7 @@ fn header_fields_out_of_range_are_refused() {
         ("events without a pixel", |h| h.pixels = 0),
         ("a sensor 2049 wide", |h| h.sensor.width = 2049),
         ("a sensor 0 high", |h| {
-            (h.sensor.width, h.sensor.height) = (1, 0)
+            (h.sensor.width, h.sensor.height) = (1, 0);
         }),
     ];
     for (name, change) in cases {
