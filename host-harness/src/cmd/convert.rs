@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use clap::error::ErrorKind;
 
 use super::options::SizeOptions;
 use super::output::{print, print_json, rows};
@@ -67,6 +68,14 @@ impl Convert {
     /// # Errors
     /// A recording that cannot be read, a format that cannot hold its events.
     pub fn run(self) -> Result<()> {
+        if let (Some(from), Some(to)) = (self.from_us, self.to_us)
+            && from > to
+        {
+            let message = format!("--from-us {from} is after --to-us {to}\n");
+            clap::Command::new("eecvs convert")
+                .error(ErrorKind::ValueValidation, message)
+                .exit();
+        }
         let filter = Filter {
             from_us: self.from_us,
             to_us: self.to_us,

@@ -343,7 +343,7 @@ impl Input {
             offset,
             format!(
                 "event {index} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): \
-             damaged recording, or a wrong size"
+                 the recording is damaged, or its size is another: see --width and --height"
             ),
         )
     }

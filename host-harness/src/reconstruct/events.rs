@@ -194,8 +194,8 @@ fn plateau(values: &[f64], sign: f64) -> usize {
 /// Matching pursuit of one pixel.
 struct Pursuit<'d> {
     decoder: &'d EventDecoder,
-    /// Whether coefficient k is known; k = 0 tells nothing of times.
-    known: Vec<bool>,
+    /// Indices of the known coefficients, ascending; k = 0 tells nothing of times.
+    known: Vec<usize>,
     /// What the events placed so far leave of the coefficients.
     re: Vec<f32>,
     im: Vec<f32>,
@@ -203,26 +203,41 @@ struct Pursuit<'d> {
 
 impl<'d> Pursuit<'d> {
     fn new(decoder: &'d EventDecoder, pixel: &Pixel) -> Self {
-        let mut pursuit = Self {
-            decoder,
-            known: vec![false; decoder.grid],
-            re: vec![0.0; decoder.grid],
-            im: vec![0.0; decoder.grid],
-        };
-        if decoder.transform == Transform::Dct {
+        let mut re = vec![0.0; decoder.grid];
+        let mut im = vec![0.0; decoder.grid];
+        for (k, of_re, of_im) in &pixel.coefficients {
+            (re[usize::from(*k)], im[usize::from(*k)]) = (*of_re as f32, *of_im as f32);
+        }
+        let known = if decoder.transform == Transform::Dct {
             // The DCT keeps every k < r: a coefficient that was not sent is known to be 0.
-            pursuit.known[..decoder.kept].fill(true);
+            (1..decoder.kept).collect()
+        } else {
+            let sent = pixel.coefficients.iter().map(|(k, ..)| usize::from(*k));
+            sent.filter(|k| *k > 0).collect()
+        };
+        (re[0], im[0]) = (0.0, 0.0);
+        Self {
+            decoder,
+            known,
+            re,
+            im,
         }
-        for (k, re, im) in &pixel.coefficients {
-            let k = usize::from(*k);
-            pursuit.known[k] = true;
-            (pursuit.re[k], pursuit.im[k]) = (*re as f32, *im as f32);
+    }
+
+    /// One more than the highest known k.
+    fn limit(&self) -> usize {
+        self.known.last().map_or(0, |k| k + 1)
+    }
+
+    /// sum_k a_k b_k over the known coefficients, of which the others of `a` are 0.
+    fn dot_known(&self, a: &[f32], b: &[f32]) -> f32 {
+        let limit = self.limit();
+        // A few of a large grid are picked out; else all are faster in vector registers.
+        if limit > 8 * self.known.len() {
+            self.known.iter().map(|k| a[*k] * b[*k]).sum()
+        } else {
+            dot(&a[..limit], &b[..limit])
         }
-        if let Some(first) = pursuit.known.first_mut() {
-            *first = false;
-        }
-        (pursuit.re[0], pursuit.im[0]) = (0.0, 0.0);
-        pursuit
     }
 
     fn run(mut self, mut on: u32, mut off: u32) -> Vec<Placed> {
@@ -255,8 +270,9 @@ impl<'d> Pursuit<'d> {
         let (sin, cos) = step.sin_cos();
         let (mut atom_re, mut atom_im) = (1.0, 0.0);
         let complex = self.decoder.transform.is_complex();
-        for k in 0..self.decoder.grid {
-            if self.known[k] {
+        let mut known = self.known.iter().peekable();
+        for k in 0..self.limit() {
+            if known.next_if_eq(&&k).is_some() {
                 self.re[k] += (factor * sign * atom_re) as f32;
                 if complex {
                     self.im[k] -= (factor * sign * atom_im) as f32;
@@ -272,10 +288,10 @@ impl<'d> Pursuit<'d> {
         let mut best = (f32::NEG_INFINITY, 0, 1.0);
         for point in 0..decoder.points {
             let atoms = point * decoder.grid..(point + 1) * decoder.grid;
-            let mut correlation: f32 = dot(&self.re, &decoder.atoms_re[atoms.clone()]);
+            let mut correlation: f32 = self.dot_known(&self.re, &decoder.atoms_re[atoms.clone()]);
             let mut half_energy = 0.0;
             if decoder.transform.is_complex() {
-                correlation += dot(&self.im, &decoder.atoms_im[atoms]);
+                correlation += self.dot_known(&self.im, &decoder.atoms_im[atoms]);
             } else {
                 half_energy = decoder.half_energy[point];
             }
@@ -319,8 +335,9 @@ impl<'d> Pursuit<'d> {
         let (sin_1, cos_1) = (base * u).sin_cos();
         let (mut cos, mut sin) = (1.0, 0.0);
         let (mut slope, mut curvature) = (0.0, 0.0);
-        for k in 0..decoder.grid {
-            if self.known[k] {
+        let mut known = self.known.iter().peekable();
+        for k in 0..self.limit() {
+            if known.next_if_eq(&&k).is_some() {
                 let omega = base * k as f64;
                 let (re, im) = (f64::from(self.re[k]), f64::from(self.im[k]));
                 if decoder.transform.is_complex() {
