@@ -330,25 +330,24 @@ impl<'d> Pursuit<'d> {
 
     /// J' and J''.
     fn derivatives(&self, u: f64, sign: f64) -> (f64, f64) {
-        let decoder = self.decoder;
-        let base = decoder.omega(1);
+        let base = self.decoder.omega(1);
+        let complex = self.decoder.transform.is_complex();
         let (sin_1, cos_1) = (base * u).sin_cos();
         let (mut cos, mut sin) = (1.0, 0.0);
         let (mut slope, mut curvature) = (0.0, 0.0);
-        let mut known = self.known.iter().peekable();
+        // What is not known adds nothing: k = 0 has omega = 0, the DCT knows all others, and
+        // re = im = 0 for those that the DTFT does not know.
         for k in 0..self.limit() {
-            if known.next_if_eq(&&k).is_some() {
-                let omega = base * k as f64;
-                let (re, im) = (f64::from(self.re[k]), f64::from(self.im[k]));
-                if decoder.transform.is_complex() {
-                    // Re(c conj(phi)) = re cos - im sin
-                    slope -= sign * omega * (re * sin + im * cos);
-                    curvature -= sign * omega * omega * (re * cos - im * sin);
-                } else {
-                    // p c cos - cos^2 / 2
-                    slope += omega * sin * (cos - sign * re);
-                    curvature += omega * omega * (cos * cos - sin * sin - sign * re * cos);
-                }
+            let omega = base * k as f64;
+            let (re, im) = (f64::from(self.re[k]), f64::from(self.im[k]));
+            if complex {
+                // Re(c conj(phi)) = re cos - im sin
+                slope -= sign * omega * (re * sin + im * cos);
+                curvature -= sign * omega * omega * (re * cos - im * sin);
+            } else {
+                // p c cos - cos^2 / 2
+                slope += omega * sin * (cos - sign * re);
+                curvature += omega * omega * (cos * cos - sin * sin - sign * re * cos);
             }
             (cos, sin) = (cos * cos_1 - sin * sin_1, sin * cos_1 + cos * sin_1);
         }
