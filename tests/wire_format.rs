@@ -27,6 +27,7 @@ fn the_documents_example_is_true() {
     let example = document
         .split("## Worked example")
         .nth(1)
+        .and_then(|rest| rest.split("\n# ").next())
         .expect("the example's section");
     let hex: String = example
         .lines()

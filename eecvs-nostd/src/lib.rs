@@ -19,6 +19,8 @@ pub mod density;
 pub mod descriptor;
 pub mod encoder;
 pub mod event;
+pub mod event_link;
+pub mod evt2;
 pub mod fixed_point;
 pub mod frame;
 pub mod group;

@@ -1,0 +1,430 @@
+//! Events on their way to an encoder: the packets that a host or a camera sends to the MCU.
+//!
+//! docs/wire-format.md, "Event link", has the layout. Every packet says how many events were sent
+//! before it, so the receiver knows exactly how many a lost packet held.
+
+use crc::{CRC_16_IBM_3740, Crc, NoTable};
+use heapless::Vec;
+use serde::{Deserialize, Serialize};
+
+use crate::encoder::Config;
+use crate::event::Sensor;
+use crate::quantise::Quantiser;
+use crate::regime::Thresholds;
+use crate::transform::Transform;
+use crate::window::WindowConfig;
+
+/// First two bytes of a packet.
+pub const SYNC: [u8; 2] = [0xEE, 0xC6];
+/// Largest body.
+pub const BODY_BYTES_MAX: usize = 512;
+/// Largest packet.
+pub const PACKET_BYTES_MAX: usize = HEAD_BYTES + BODY_BYTES_MAX + CRC_BYTES;
+
+/// Sync, kind, body length, position.
+const HEAD_BYTES: usize = 9;
+const CRC_BYTES: usize = 2;
+static CRC: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_IBM_3740);
+
+/// What a packet is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(u8)]
+pub enum Kind {
+    /// A [`Setup`]; the encoder starts anew.
+    Setup = 1,
+    /// EVT 2.0 words, little-endian.
+    Words = 2,
+    /// The stream has ended: the open window is to be closed and sent.
+    Flush = 3,
+}
+
+impl Kind {
+    const fn from_code(code: u8) -> Option<Self> {
+        match code {
+            1 => Some(Self::Setup),
+            2 => Some(Self::Words),
+            3 => Some(Self::Flush),
+            _ => None,
+        }
+    }
+}
+
+/// One packet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Packet<'p> {
+    /// What it is.
+    pub kind: Kind,
+    /// Events sent before it since the setup; wraps.
+    pub position: u32,
+    /// Its content, at most [`BODY_BYTES_MAX`].
+    pub body: &'p [u8],
+}
+
+/// The packet does not fit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct TooLong;
+
+impl Packet<'_> {
+    /// Writes the packet to the start of `out` and returns its length.
+    ///
+    /// # Errors
+    /// [`TooLong`]: the body is above its maximum, or `out` is too short.
+    pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
+        let crc_at = HEAD_BYTES + self.body.len();
+        let end = crc_at + CRC_BYTES;
+        if self.body.len() > BODY_BYTES_MAX || out.len() < end {
+            return Err(TooLong);
+        }
+        out[..2].copy_from_slice(&SYNC);
+        out[2] = self.kind as u8;
+        out[3..5].copy_from_slice(&(self.body.len() as u16).to_le_bytes());
+        out[5..9].copy_from_slice(&self.position.to_le_bytes());
+        out[HEAD_BYTES..crc_at].copy_from_slice(self.body);
+        let crc = CRC.checksum(&out[..crc_at]);
+        out[crc_at..end].copy_from_slice(&crc.to_le_bytes());
+        Ok(end)
+    }
+}
+
+/// What the encoder is set to by a [`Kind::Setup`] packet; postcard writes it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Setup {
+    /// Columns.
+    pub width: u16,
+    /// Rows.
+    pub height: u16,
+    /// T in microseconds.
+    pub window_us: u32,
+    /// tau_low in 10^-12 events per pixel per second.
+    pub tau_low_pico: u64,
+    /// tau_high in the same unit.
+    pub tau_high_pico: u64,
+    /// Code of the transform, 255 for the regime's.
+    pub transform: u8,
+    /// M.
+    pub m: u8,
+    /// K, 0 for the transform's default.
+    pub grid: u16,
+    /// log2 of the quantiser's step.
+    pub step_log2: i8,
+    /// Time that the words' 0 stands for, in microseconds.
+    pub time_base_us: u64,
+}
+
+impl Setup {
+    const AUTO: u8 = 255;
+
+    /// The setup of a configuration, for words from `time_base_us` on.
+    #[must_use]
+    pub fn new(config: &Config, time_base_us: u64) -> Self {
+        Self {
+            width: config.window.sensor.width,
+            height: config.window.sensor.height,
+            window_us: config.window.window_us,
+            tau_low_pico: config.thresholds.tau_low_pico(),
+            tau_high_pico: config.thresholds.tau_high_pico(),
+            transform: config
+                .transform
+                .map_or(Self::AUTO, |transform| transform as u8),
+            m: config.m,
+            grid: config.grid.unwrap_or(0),
+            step_log2: config.quantiser.step_log2(),
+            time_base_us,
+        }
+    }
+
+    /// Writes it as a packet's body to the start of `out` and returns its length.
+    ///
+    /// # Errors
+    /// [`TooLong`]: `out` is too short; 64 bytes are enough.
+    pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
+        postcard::to_slice(self, out)
+            .map(|bytes| bytes.len())
+            .map_err(|_| TooLong)
+    }
+
+    /// Reads a packet's body; `None` where it is none.
+    #[must_use]
+    pub fn parse(body: &[u8]) -> Option<Self> {
+        let (setup, rest) = postcard::take_from_bytes(body).ok()?;
+        rest.is_empty().then_some(setup)
+    }
+
+    /// The configuration, or `None` where a field is out of its range; M and K are left to the
+    /// encoder's own check.
+    #[must_use]
+    pub fn config(&self) -> Option<Config> {
+        Some(Config {
+            window: WindowConfig {
+                sensor: Sensor::new(self.width, self.height)?,
+                window_us: self.window_us,
+            },
+            thresholds: Thresholds::new(self.tau_low_pico, self.tau_high_pico)?,
+            transform: match self.transform {
+                Self::AUTO => None,
+                code => Some(Transform::from_code(code)?),
+            },
+            m: self.m,
+            grid: (self.grid > 0).then_some(self.grid),
+            quantiser: Quantiser::new(self.step_log2)?,
+        })
+    }
+}
+
+/// Finds packets in received bytes, which may be damaged.
+#[derive(Debug, Clone)]
+pub struct Receiver {
+    buffer: Vec<u8, PACKET_BYTES_MAX>,
+    /// Length of the packet that was handed out and is still in the buffer.
+    taken: usize,
+    damaged_bytes: u32,
+}
+
+impl Receiver {
+    /// A receiver before its first byte.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            buffer: Vec::new(),
+            taken: 0,
+            damaged_bytes: 0,
+        }
+    }
+
+    /// Bytes that belonged to no packet.
+    #[must_use]
+    pub const fn damaged_bytes(&self) -> u32 {
+        self.damaged_bytes
+    }
+
+    /// Takes the next byte; returns the packet that it completes.
+    ///
+    /// After damage the search goes on at the next sync bytes within what was received. A byte may
+    /// so complete one packet while a further whole one waits: it is returned with a later byte,
+    /// at the latest with the next packet's.
+    pub fn push(&mut self, byte: u8) -> Option<Packet<'_>> {
+        self.discard(self.taken);
+        self.taken = 0;
+        // Never full: whatever can be a packet is shorter, and all else is discarded below.
+        let _ = self.buffer.push(byte);
+        loop {
+            match Self::look(&self.buffer) {
+                Look::More => return None,
+                Look::Damage => {
+                    let skip = next_sync(&self.buffer);
+                    self.damaged_bytes = self.damaged_bytes.saturating_add(skip as u32);
+                    self.discard(skip);
+                }
+                Look::Packet(kind, end) => {
+                    self.taken = end;
+                    let head = &self.buffer[..end];
+                    return Some(Packet {
+                        kind,
+                        position: u32::from_le_bytes([head[5], head[6], head[7], head[8]]),
+                        body: &head[HEAD_BYTES..end - CRC_BYTES],
+                    });
+                }
+            }
+        }
+    }
+
+    fn discard(&mut self, bytes: usize) {
+        if bytes > 0 {
+            self.buffer.copy_within(bytes.., 0);
+            self.buffer.truncate(self.buffer.len() - bytes);
+        }
+    }
+
+    fn look(bytes: &[u8]) -> Look {
+        let sync = bytes.len().min(SYNC.len());
+        if bytes[..sync] != SYNC[..sync] {
+            return Look::Damage;
+        }
+        let Some(kind) = bytes.get(2) else {
+            return Look::More;
+        };
+        let Some(kind) = Kind::from_code(*kind) else {
+            return Look::Damage;
+        };
+        let Some(len) = bytes.get(3..5) else {
+            return Look::More;
+        };
+        let body = usize::from(u16::from_le_bytes([len[0], len[1]]));
+        if body > BODY_BYTES_MAX {
+            return Look::Damage;
+        }
+        let crc_at = HEAD_BYTES + body;
+        let end = crc_at + CRC_BYTES;
+        let Some(crc) = bytes.get(crc_at..end) else {
+            return Look::More;
+        };
+        if CRC.checksum(&bytes[..crc_at]).to_le_bytes() == *crc {
+            Look::Packet(kind, end)
+        } else {
+            Look::Damage
+        }
+    }
+}
+
+impl Default for Receiver {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+enum Look {
+    More,
+    Damage,
+    Packet(Kind, usize),
+}
+
+/// Distance to the next place, not the first, where sync bytes or their beginning stand.
+fn next_sync(bytes: &[u8]) -> usize {
+    (1..bytes.len())
+        .find(|start| {
+            let rest = &bytes[*start..];
+            let len = rest.len().min(SYNC.len());
+            rest[..len] == SYNC[..len]
+        })
+        .unwrap_or(bytes.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec as StdVec;
+
+    fn packet() -> impl Strategy<Value = (Kind, u32, StdVec<u8>)> {
+        (
+            prop_oneof![Just(Kind::Setup), Just(Kind::Words), Just(Kind::Flush)],
+            any::<u32>(),
+            proptest::collection::vec(
+                prop_oneof![any::<u8>(), Just(0xEE), Just(0xC6)],
+                0..=BODY_BYTES_MAX,
+            ),
+        )
+    }
+
+    fn bytes((kind, position, body): &(Kind, u32, StdVec<u8>)) -> StdVec<u8> {
+        let mut out = [0; PACKET_BYTES_MAX];
+        let packet = Packet {
+            kind: *kind,
+            position: *position,
+            body,
+        };
+        let len = packet.write(&mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    fn receive(receiver: &mut Receiver, bytes: &[u8]) -> StdVec<(Kind, u32, StdVec<u8>)> {
+        let mut found = StdVec::new();
+        for byte in bytes {
+            if let Some(packet) = receiver.push(*byte) {
+                found.push((packet.kind, packet.position, packet.body.to_vec()));
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn setups_return_or_are_refused() {
+        let setup = Setup {
+            width: 320,
+            height: 320,
+            window_us: 32_768,
+            tau_low_pico: 1,
+            tau_high_pico: u64::MAX,
+            transform: 255,
+            m: 16,
+            grid: 0,
+            step_log2: -6,
+            time_base_us: u64::MAX,
+        };
+        let mut out = [0; 64];
+        let len = setup.write(&mut out).unwrap();
+        assert_eq!(Setup::parse(&out[..len]), Some(setup));
+        assert_eq!(Setup::parse(&out[..=len]), None);
+        assert_eq!(Setup::parse(&out[..len - 1]), None);
+        assert_eq!(Setup::new(&setup.config().unwrap(), u64::MAX), setup);
+        for wrong in [
+            Setup { width: 0, ..setup },
+            Setup {
+                height: 2049,
+                ..setup
+            },
+            Setup {
+                tau_low_pico: 2,
+                tau_high_pico: 1,
+                ..setup
+            },
+            Setup {
+                transform: 3,
+                ..setup
+            },
+            Setup {
+                step_log2: 9,
+                ..setup
+            },
+        ] {
+            assert_eq!(wrong.config(), None, "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_too_long_is_refused() {
+        let body = [0; BODY_BYTES_MAX + 1];
+        let packet = Packet {
+            kind: Kind::Words,
+            position: 0,
+            body: &body,
+        };
+        assert_eq!(packet.write(&mut [0; 2 * PACKET_BYTES_MAX]), Err(TooLong));
+        let packet = Packet {
+            body: &[1, 2],
+            ..packet
+        };
+        assert_eq!(packet.write(&mut [0; HEAD_BYTES + 3]), Err(TooLong));
+        assert_eq!(packet.write(&mut [0; HEAD_BYTES + 4]), Ok(HEAD_BYTES + 4));
+    }
+
+    proptest! {
+        #[test]
+        fn packets_are_received(packets in proptest::collection::vec(packet(), 0..6)) {
+            let stream: StdVec<u8> = packets.iter().flat_map(bytes).collect();
+            let mut receiver = Receiver::new();
+            prop_assert_eq!(receive(&mut receiver, &stream), packets);
+            prop_assert_eq!(receiver.damaged_bytes(), 0);
+        }
+
+        #[test]
+        fn whole_packets_are_found_behind_damage(
+            before in packet(), after in proptest::collection::vec(packet(), 2..5),
+            flip in any::<usize>(), bits in 1..=255_u8, garbage in proptest::collection::vec(any::<u8>(), 0..40),
+        ) {
+            let mut stream = bytes(&before);
+            let at = flip % stream.len();
+            stream[at] ^= bits;
+            stream.extend(garbage);
+            for packet in &after {
+                stream.extend(bytes(packet));
+            }
+            // Whatever the damage claims to be ends within the longest packet.
+            stream.extend([0; PACKET_BYTES_MAX]);
+            let mut receiver = Receiver::new();
+            let found = receive(&mut receiver, &stream);
+            prop_assert!(found.ends_with(&after), "{:?} {:?}", found.len(), receiver.damaged_bytes());
+        }
+
+        #[test]
+        fn any_bytes_are_survived(bytes in proptest::collection::vec(
+            prop_oneof![any::<u8>(), Just(0xEE), Just(0xC6), Just(2), Just(0)], 0..3000,
+        )) {
+            receive(&mut Receiver::new(), &bytes);
+        }
+    }
+}

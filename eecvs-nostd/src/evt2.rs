@@ -1,0 +1,244 @@
+//! EVT 2.0 words to events and back: 32 bits, little-endian, as Prophesee sensors send them.
+//!
+//! | bits 31..28 | 27..22 | 21..11 | 10..0 |
+//! |---|---|---|---|
+//! | 0 `CD_OFF`, 1 `CD_ON` | time bits 5..0 | x | y |
+//! | 8 `TIME_HIGH` | time bits 33..6 (28 bits) ||
+//! | others | triggers, padding, vendor words: no events ||
+
+use crate::event::{Event, Polarity};
+
+const CD_OFF: u32 = 0;
+const CD_ON: u32 = 1;
+const TIME_HIGH: u32 = 8;
+/// Time bits of an event's own word.
+const LOW_BITS: u32 = 6;
+/// Bits of a `TIME_HIGH`.
+const HIGH_MASK: u32 = (1 << 28) - 1;
+/// Period of the format's time: 2^34 us, 4.8 hours.
+const PERIOD_US: u64 = 1 << 34;
+
+/// What a word was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Word {
+    /// An event.
+    Event(Event),
+    /// A time; nothing to do.
+    Time,
+    /// An event before the first time: it has none.
+    Untimed,
+    /// A word of another type.
+    Other,
+}
+
+/// Decodes words; carries the time between them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Evt2Decoder {
+    /// Time of the current `TIME_HIGH`, wraps and base included.
+    time_us: u64,
+    /// Bits of the current `TIME_HIGH`; none before the first.
+    high: Option<u32>,
+}
+
+impl Evt2Decoder {
+    /// A decoder whose times start at `base_us`, which stands for the format's 0.
+    #[must_use]
+    pub const fn new(base_us: u64) -> Self {
+        Self {
+            time_us: base_us,
+            high: None,
+        }
+    }
+
+    /// Takes the next word.
+    ///
+    /// A `TIME_HIGH` that falls by more than half of its range has wrapped; a smaller step back is
+    /// a step back.
+    #[inline]
+    pub fn decode(&mut self, word: u32) -> Word {
+        match word >> 28 {
+            kind @ (CD_OFF | CD_ON) => {
+                if self.high.is_none() {
+                    return Word::Untimed;
+                }
+                Word::Event(Event {
+                    t_us: self
+                        .time_us
+                        .wrapping_add(u64::from((word >> 22) & ((1 << LOW_BITS) - 1))),
+                    x: ((word >> 11) & 0x7ff) as u16,
+                    y: (word & 0x7ff) as u16,
+                    polarity: Polarity::from_bool(kind == CD_ON),
+                })
+            }
+            TIME_HIGH => {
+                let high = word & HIGH_MASK;
+                let before = self.high.replace(high).unwrap_or(0);
+                let before_us = u64::from(before) << LOW_BITS;
+                let now_us = u64::from(high) << LOW_BITS;
+                self.time_us = self.time_us.wrapping_sub(before_us).wrapping_add(now_us);
+                if before_us > now_us && before_us - now_us > PERIOD_US / 2 {
+                    self.time_us = self.time_us.wrapping_add(PERIOD_US);
+                }
+                Word::Time
+            }
+            _ => Word::Other,
+        }
+    }
+}
+
+/// Encodes events as words, with the `TIME_HIGH` that they need.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Evt2Encoder {
+    base_us: u64,
+    /// What the receiver's decoder has seen: an event that it would not give back is refused.
+    decoder: Evt2Decoder,
+}
+
+impl Evt2Encoder {
+    /// An encoder for times from `base_us` on.
+    #[must_use]
+    pub const fn new(base_us: u64) -> Self {
+        Self {
+            base_us,
+            decoder: Evt2Decoder::new(base_us),
+        }
+    }
+
+    /// The `TIME_HIGH` to send first, if one is due, and the event's word.
+    ///
+    /// `None` for an event that the format cannot hold: before the base, beyond 2,048 x 2,048, or
+    /// after a step of time that its 4.8-hour wraps do not show.
+    pub fn encode(&mut self, event: Event) -> Option<(Option<u32>, u32)> {
+        let time_us = event.t_us.checked_sub(self.base_us)?;
+        let high = (time_us >> LOW_BITS) as u32 & HIGH_MASK;
+        let due = (self.decoder.high != Some(high)).then_some((TIME_HIGH << 28) | high);
+        let low = time_us as u32 & ((1 << LOW_BITS) - 1);
+        let word = ((event.polarity as u32) << 28)
+            | (low << 22)
+            | ((u32::from(event.x) & 0x7ff) << 11)
+            | (u32::from(event.y) & 0x7ff);
+        let mut decoder = self.decoder;
+        if let Some(due) = due {
+            decoder.decode(due);
+        }
+        if decoder.decode(word) != Word::Event(event) {
+            return None;
+        }
+        self.decoder = decoder;
+        Some((due, word))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn at(t_us: u64) -> Event {
+        Event {
+            t_us,
+            x: 2047,
+            y: 5,
+            polarity: Polarity::On,
+        }
+    }
+
+    #[test]
+    fn words_are_those_of_the_format() {
+        let mut encoder = Evt2Encoder::new(0);
+        let event = Event {
+            t_us: 0x1234_5678,
+            x: 0x123,
+            y: 0x0ab,
+            polarity: Polarity::Off,
+        };
+        let low = 0x1234_5678 & 63;
+        assert_eq!(
+            encoder.encode(event),
+            Some((
+                Some(0x8000_0000 | (0x1234_5678 >> 6)),
+                (low << 22) | (0x123 << 11) | 0x0ab
+            ))
+        );
+        let on = Event {
+            polarity: Polarity::On,
+            ..event
+        };
+        let word = (1 << 28) | (low << 22) | (0x123 << 11) | 0x0ab;
+        assert_eq!(encoder.encode(on), Some((None, word)));
+    }
+
+    #[test]
+    fn words_that_are_no_events_are_told_apart() {
+        let mut decoder = Evt2Decoder::new(7);
+        assert_eq!(decoder.decode(1 << 28), Word::Untimed);
+        assert_eq!(decoder.decode(0xA000_0001), Word::Other);
+        assert_eq!(decoder.decode(0x8000_0002), Word::Time);
+        let Word::Event(event) = decoder.decode(1 << 28) else {
+            panic!("an event")
+        };
+        assert_eq!(event.t_us, 7 + 128);
+    }
+
+    #[test]
+    fn wraps_are_carried_and_steps_back_are_not() {
+        let mut encoder = Evt2Encoder::new(1000);
+        let mut decoder = Evt2Decoder::new(1000);
+        let hour = 3_600_000_000;
+        for t_us in [
+            1000,
+            1000 + 2 * hour,
+            1000 + 4 * hour,
+            1000 + 6 * hour,
+            1000 + 6 * hour - 100,
+        ] {
+            let (due, word) = encoder.encode(at(t_us)).unwrap();
+            if let Some(due) = due {
+                assert_eq!(decoder.decode(due), Word::Time);
+            }
+            assert_eq!(decoder.decode(word), Word::Event(at(t_us)));
+        }
+        // Too far ahead, before the base, beyond the coordinates.
+        assert_eq!(encoder.encode(at(1000 + 16 * hour)), None);
+        assert_eq!(encoder.encode(at(999)), None);
+        assert_eq!(
+            encoder.encode(Event {
+                x: 2048,
+                ..at(1000 + 6 * hour)
+            }),
+            None
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_encoded_decodes(
+            base_us in prop_oneof![Just(0), Just(1_700_000_000_000_000_u64), any::<u32>().prop_map(u64::from)],
+            steps in proptest::collection::vec((-500_i64..5_000_000_000, 0..2048_u16, 0..2048_u16, any::<bool>()), 1..100),
+        ) {
+            let mut encoder = Evt2Encoder::new(base_us);
+            let mut decoder = Evt2Decoder::new(base_us);
+            let mut t_us = base_us;
+            for (step, x, y, on) in steps {
+                t_us = t_us.saturating_add_signed(step).max(base_us);
+                let event = Event { t_us, x, y, polarity: Polarity::from_bool(on) };
+                let (due, word) = encoder.encode(event).expect("small steps fit");
+                if let Some(due) = due {
+                    prop_assert_eq!(decoder.decode(due), Word::Time);
+                }
+                prop_assert_eq!(decoder.decode(word), Word::Event(event));
+            }
+        }
+
+        #[test]
+        fn any_words_are_survived(words in proptest::collection::vec(any::<u32>(), 0..200), base_us: u64) {
+            let mut decoder = Evt2Decoder::new(base_us);
+            for word in words {
+                decoder.decode(word);
+            }
+        }
+    }
+}

@@ -1,0 +1,32 @@
+//! Any bytes on the event link: no panic, packets within their bounds, words decode or are skipped.
+#![no_main]
+
+use eecvs_nostd::event_link::{BODY_BYTES_MAX, Kind, Receiver, Setup};
+use eecvs_nostd::evt2::Evt2Decoder;
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|data: &[u8]| {
+    let mut receiver = Receiver::new();
+    let mut decoder = Evt2Decoder::new(0);
+    for byte in data {
+        let Some(packet) = receiver.push(*byte) else {
+            continue;
+        };
+        assert!(packet.body.len() <= BODY_BYTES_MAX);
+        match packet.kind {
+            Kind::Setup => {
+                if let Some(setup) = Setup::parse(packet.body) {
+                    decoder = Evt2Decoder::new(setup.time_base_us);
+                    let _ = setup.config();
+                }
+            }
+            Kind::Words => {
+                for word in packet.body.chunks_exact(4) {
+                    decoder.decode(u32::from_le_bytes([word[0], word[1], word[2], word[3]]));
+                }
+            }
+            Kind::Flush => {}
+        }
+    }
+    assert!(receiver.damaged_bytes() as usize <= data.len());
+});
