@@ -15,7 +15,7 @@ use crate::prune::{Kept, largest, low_frequency};
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
 use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, Impulse, M_MAX, Rule, Transform};
-use crate::window::{Closed, Push, Window, WindowConfig};
+use crate::window::{Closed, Push, Window, WindowBuffers, WindowConfig};
 
 /// Smallest output that always takes a frame with at least one pixel.
 pub const OUTPUT_BYTES_MIN: usize = HEADER_BYTES_MAX + PIXEL_BYTES_MAX + CRC_BYTES + 8;
@@ -48,6 +48,17 @@ pub enum ConfigError {
     Grid,
     /// [`Scratch`] is smaller than the largest grid needs.
     Scratch,
+}
+
+/// Why an encoder cannot be set up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum SetupError {
+    /// [`Window::new`] refuses: the event buffers are empty or too small for the sensor, the sensor
+    /// is out of range, or T is 0.
+    Window,
+    /// The rest of the configuration.
+    Config(ConfigError),
 }
 
 impl Config {
@@ -389,6 +400,24 @@ impl<'b> Encoder<'b> {
     #[must_use]
     pub const fn new(window: Window<'b>, encoder: WindowEncoder<'b>) -> Self {
         Self { window, encoder }
+    }
+
+    /// An encoder over lent memory, zeroed.
+    ///
+    /// # Errors
+    /// [`SetupError`].
+    pub const fn set_up(
+        config: Config,
+        buffers: WindowBuffers<'b>,
+        scratch: Scratch<'b>,
+    ) -> Result<Self, SetupError> {
+        let Some(window) = Window::new(config.window, buffers) else {
+            return Err(SetupError::Window);
+        };
+        match WindowEncoder::new(config, scratch) {
+            Ok(encoder) => Ok(Self::new(window, encoder)),
+            Err(error) => Err(SetupError::Config(error)),
+        }
     }
 
     /// Adds an event; on [`Push::Closed`] take every frame and push it again.

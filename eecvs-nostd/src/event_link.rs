@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::encoder::Config;
 use crate::event::Sensor;
+use crate::link::next_sync;
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
 use crate::transform::Transform;
@@ -215,7 +216,7 @@ impl Receiver {
             match Self::look(&self.buffer) {
                 Look::More => return None,
                 Look::Damage => {
-                    let skip = next_sync(&self.buffer);
+                    let skip = next_sync(&self.buffer, SYNC);
                     self.damaged_bytes = self.damaged_bytes.saturating_add(skip as u32);
                     self.discard(skip);
                 }
@@ -280,17 +281,6 @@ enum Look {
     More,
     Damage,
     Packet(Kind, usize),
-}
-
-/// Distance to the next place, not the first, where sync bytes or their beginning stand.
-fn next_sync(bytes: &[u8]) -> usize {
-    (1..bytes.len())
-        .find(|start| {
-            let rest = &bytes[*start..];
-            let len = rest.len().min(SYNC.len());
-            rest[..len] == SYNC[..len]
-        })
-        .unwrap_or(bytes.len())
 }
 
 #[cfg(test)]

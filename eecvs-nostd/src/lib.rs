@@ -37,7 +37,7 @@ pub mod window;
 pub use density::Density;
 pub use descriptor::Descriptor;
 pub use encoder::{
-    Config, ConfigError, Encoded, Encoder, OUTPUT_BYTES_MIN, Scratch, WindowEncoder,
+    Config, ConfigError, Encoded, Encoder, OUTPUT_BYTES_MIN, Scratch, SetupError, WindowEncoder,
 };
 pub use event::{Event, Polarity, Sensor};
 pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom};
@@ -45,7 +45,7 @@ pub use link::{Order, Scan, Sequence, scan};
 pub use pack::{Packing, UnpackError};
 pub use quantise::{Level, Quantiser};
 pub use regime::{Regime, Thresholds};
-pub use storage::{SetupError, Storage};
+pub use storage::Storage;
 pub use transform::Transform;
 pub use window::{
     Closed, Counts, Push, Slot, Window, WindowBuffers, WindowConfig, bitmap_words, segments,

@@ -33,21 +33,20 @@ pub fn scan(bytes: &[u8]) -> Scan<'_> {
         Err(FrameError::Incomplete) => Scan::Incomplete,
         Err(error) => Scan::Damage {
             error,
-            skip: next_sync(bytes),
+            skip: next_sync(bytes, SYNC),
         },
     }
 }
 
-/// Distance to the next place, not the first, where the sync bytes or their beginning stand.
-fn next_sync(bytes: &[u8]) -> usize {
-    for start in 1..bytes.len() {
-        let rest = &bytes[start..];
-        let len = rest.len().min(SYNC.len());
-        if rest[..len] == SYNC[..len] {
-            return start;
-        }
-    }
-    bytes.len()
+/// Distance to the next place, not the first, where `sync` or its beginning stands.
+pub(crate) fn next_sync(bytes: &[u8], sync: [u8; 2]) -> usize {
+    (1..bytes.len())
+        .find(|start| {
+            let rest = &bytes[*start..];
+            let len = rest.len().min(sync.len());
+            rest[..len] == sync[..len]
+        })
+        .unwrap_or(bytes.len())
 }
 
 /// Where a frame stands relative to those before it.

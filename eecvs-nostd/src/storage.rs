@@ -1,8 +1,8 @@
 //! Static memory of an encoder.
 
-use crate::encoder::{Config, ConfigError, Encoder, Scratch, WindowEncoder};
+use crate::encoder::{Config, Encoder, Scratch, SetupError};
 use crate::fixed_point::{Sum, WideSum};
-use crate::window::{Slot, Window, WindowBuffers};
+use crate::window::{Slot, WindowBuffers};
 
 /// Every buffer of an encoder, zeroed, for `.bss`.
 ///
@@ -22,17 +22,6 @@ pub struct Storage<
     sums: [Sum; NUMBERS],
     totals: [WideSum; NUMBERS],
     magnitudes: [u64; NUMBERS],
-}
-
-/// Why an encoder cannot be set up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum SetupError {
-    /// [`Window::new`] refuses: the event buffers are empty or too small for the sensor, the sensor
-    /// is out of range, or T is 0.
-    Window,
-    /// The rest of the configuration.
-    Config(ConfigError),
 }
 
 impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMBERS: usize>
@@ -68,9 +57,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
         };
-        let window = Window::new(config.window, buffers).ok_or(SetupError::Window)?;
-        let encoder = WindowEncoder::new(config, scratch).map_err(SetupError::Config)?;
-        Ok(Encoder::new(window, encoder))
+        Encoder::set_up(config, buffers, scratch)
     }
 }
 
@@ -85,6 +72,8 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::encoder::{ConfigError, WindowEncoder};
+    use crate::window::Window;
     use crate::{Quantiser, Sensor, Thresholds, WindowConfig, bitmap_words, segments};
 
     const SEGMENTS: usize = segments(40, 3);

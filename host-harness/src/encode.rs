@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::{
-    Config, Encoder, OUTPUT_BYTES_MIN, Push, Scratch, Sensor, Slot, Transform, Window,
-    WindowBuffers, WindowEncoder, bitmap_words, segments,
+    Config, Encoder, OUTPUT_BYTES_MIN, Push, Scratch, Sensor, SetupError, Slot, Transform,
+    WindowBuffers, bitmap_words, segments,
 };
 use serde::Serialize;
 
@@ -60,15 +60,15 @@ impl HostStorage {
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
         };
-        let Some(window) = Window::new(config.window, buffers) else {
-            bail!(
+        match Encoder::set_up(config, buffers, scratch) {
+            Ok(encoder) => Ok(encoder),
+            Err(SetupError::Window) => bail!(
                 "the window needs a duration of at least 1 us, room for 1 to 2^24 - 1 events and a \
                  sensor of 1 to 2048 pixels a side"
-            );
-        };
-        match WindowEncoder::new(config, scratch) {
-            Ok(encoder) => Ok(Encoder::new(window, encoder)),
-            Err(error) => bail!("M must be 1 to 64 and the grid 1 to 1024 ({error:?} is not)"),
+            ),
+            Err(SetupError::Config(error)) => {
+                bail!("M must be 1 to 64 and the grid 1 to 1024 ({error:?} is not)")
+            }
         }
     }
 }
