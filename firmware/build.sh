@@ -1,0 +1,49 @@
+#!/usr/bin/env bash
+# Builds the images of a machine: firmware/build.sh [MACHINE [BINARY]]
+#
+#   netduinoplus2   STM32F405, Cortex-M4F: boards, and QEMU's machine of that name (the default)
+#   mps2-an386      Cortex-M4 in QEMU
+#   mps2-an500      Cortex-M7 in QEMU
+#   microbit        Cortex-M0 in QEMU: no FPU, no DSP instructions, no atomics; `golden` alone
+#
+# The images are firmware/target/MACHINE/TARGET/release/{encoder,golden,instructions}; the last
+# line printed is their folder.
+set -euo pipefail
+cd "$(dirname "$0")"
+
+machine=${1:-netduinoplus2}
+flags=()
+case $machine in
+    netduinoplus2) target=thumbv7em-none-eabihf feature=stm32f405 ;;
+    mps2-an386) target=thumbv7em-none-eabihf feature=mps2 ;;
+    mps2-an500) target=thumbv7em-none-eabihf feature=mps2 flags=(-C target-cpu=cortex-m7) ;;
+    microbit) target=thumbv6m-none-eabi feature=microbit ;;
+    *) sed -n '2,10s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+esac
+
+command=(cargo build --release --locked --features "$feature" --target "$target" --target-dir "target/$machine")
+if [ -n "${2:-}" ]; then
+    command+=(--bin "$2")
+elif [ "$machine" = microbit ]; then
+    command+=(--bin golden)
+fi
+export RUSTFLAGS="${flags[*]}" DEFMT_LOG="${DEFMT_LOG:-info}"
+
+if ! [ -d "$(rustc --print target-libdir --target "$target")" ]; then
+    if command -v rustup >/dev/null && rustup target add "$target" >&2; then
+        :
+    elif [ -d /usr/lib/rustlib/src/rust/library ] && [ -x /usr/bin/rustc ]; then
+        # The distribution's compiler with its own library sources.
+        export RUSTC=/usr/bin/rustc RUSTC_BOOTSTRAP=1
+        command+=(-Z build-std=core)
+        lld=$(find "$(rustc --print sysroot)" /usr/lib -name rust-lld -print -quit 2>/dev/null || true)
+        [ -z "$lld" ] || PATH=$(dirname "$lld"):$PATH
+    else
+        echo "firmware/build.sh: the core library for $target is missing. Either of these brings it:" >&2
+        echo "  rustup target add $target" >&2
+        echo "  apt-get install rustc-web rust-web-src lld    (Debian)" >&2
+        exit 1
+    fi
+fi
+"${command[@]}" >&2
+echo "$PWD/target/$machine/$target/release"

@@ -1,0 +1,17 @@
+//! The encoder on a microcontroller: what its images share.
+//!
+//! | file | what |
+//! |---|---|
+//! | `board/` | set-up of a machine: clocks, pins, the UART of the link |
+//! | `log.rs` | defmt over RTT on a board, over semihosting in QEMU |
+//! | `stack.rs` | the stack's painted floor, and what happens when it is crossed |
+//! | `bin/encoder.rs` | the image to flash: events in, frames out |
+//! | `bin/golden.rs` | the golden vectors, on the target |
+//! | `bin/instructions.rs` | instructions per event and stage |
+#![no_std]
+
+use panic_probe as _;
+
+pub mod board;
+pub mod log;
+pub mod stack;

@@ -1,0 +1,24 @@
+//! The stack's floor. The linker scripts put the stack below all other memory, so that an overflow
+//! leaves RAM and faults instead of overwriting a buffer; the runtime paints it before `main`.
+
+use core::ptr::addr_of;
+
+use cortex_m_rt::STACK_PAINT_VALUE;
+
+unsafe extern "C" {
+    static _stack_start: u32;
+    static _stack_end: u32;
+}
+
+/// Bytes of the stack that were ever written to.
+#[must_use]
+pub fn used_bytes() -> u32 {
+    let start = addr_of!(_stack_start);
+    let mut word = addr_of!(_stack_end);
+    // SAFETY: both are addresses of the linker's, and every word in between is RAM; volatile,
+    // because the words below the stack pointer belong to no Rust object.
+    while word < start && unsafe { word.read_volatile() } == STACK_PAINT_VALUE {
+        word = word.wrapping_add(1);
+    }
+    (start as u32).wrapping_sub(word as u32)
+}
