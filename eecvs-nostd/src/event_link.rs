@@ -1,9 +1,10 @@
-//! Events on their way to an encoder: the packets that a host or a camera sends to the MCU.
+//! Events on their way to an encoder: the packets that a host or a camera sends to the MCU, and
+//! the status that it answers with.
 //!
 //! docs/wire-format.md, "Event link", has the layout. Every packet says how many events were sent
 //! before it, so the receiver knows exactly how many a lost packet held.
 
-use crc::{CRC_16_IBM_3740, Crc, NoTable};
+use crc::{CRC_16_IBM_3740, Crc, Table};
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +26,7 @@ pub const PACKET_BYTES_MAX: usize = HEAD_BYTES + BODY_BYTES_MAX + CRC_BYTES;
 /// Sync, kind, body length, position.
 const HEAD_BYTES: usize = 9;
 const CRC_BYTES: usize = 2;
-static CRC: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_IBM_3740);
+static CRC: Crc<u16, Table<1>> = Crc::<u16, Table<1>>::new(&CRC_16_IBM_3740);
 
 /// What a packet is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -38,6 +39,8 @@ pub enum Kind {
     Words = 2,
     /// The stream has ended: the open window is to be closed and sent.
     Flush = 3,
+    /// A [`Status`], from the encoder: its answer to a setup and to a flush.
+    Status = 4,
 }
 
 impl Kind {
@@ -46,6 +49,7 @@ impl Kind {
             1 => Some(Self::Setup),
             2 => Some(Self::Words),
             3 => Some(Self::Flush),
+            4 => Some(Self::Status),
             _ => None,
         }
     }
@@ -114,12 +118,19 @@ pub struct Setup {
     pub step_log2: i8,
     /// Time that the words' 0 stands for, in microseconds.
     pub time_base_us: u64,
+    /// What to do with events while no window is free: 0 wait, so that the link's flow control
+    /// holds the sender; 1 drop and count them, as for a sensor that cannot be held.
+    pub when_full: u8,
 }
 
 impl Setup {
     const AUTO: u8 = 255;
+    /// [`Setup::when_full`]: wait.
+    pub const WAIT: u8 = 0;
+    /// [`Setup::when_full`]: drop and count.
+    pub const DROP: u8 = 1;
 
-    /// The setup of a configuration, for words from `time_base_us` on.
+    /// The setup of a configuration, for words from `time_base_us` on; waits when full.
     #[must_use]
     pub fn new(config: &Config, time_base_us: u64) -> Self {
         Self {
@@ -135,6 +146,7 @@ impl Setup {
             grid: config.grid.unwrap_or(0),
             step_log2: config.quantiser.step_log2(),
             time_base_us,
+            when_full: Self::WAIT,
         }
     }
 
@@ -159,6 +171,9 @@ impl Setup {
     /// encoder's own check.
     #[must_use]
     pub fn config(&self) -> Option<Config> {
+        if self.when_full > Self::DROP {
+            return None;
+        }
         Some(Config {
             window: WindowConfig {
                 sensor: Sensor::new(self.width, self.height)?,
@@ -173,6 +188,65 @@ impl Setup {
             grid: (self.grid > 0).then_some(self.grid),
             quantiser: Quantiser::new(self.step_log2)?,
         })
+    }
+}
+
+/// What an encoder says of itself, after a setup and after a flush; postcard writes it.
+///
+/// Counts run since the start of the encoder and wrap; times are of its own clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Status {
+    /// Kind of the packet that this answers: 1 setup, 3 flush; 0 after a restart.
+    pub answers: u8,
+    /// Whether an encoder is set up; a refused setup leaves none.
+    pub running: bool,
+    /// Events that a window holds before it closes early.
+    pub window_events: u32,
+    /// Largest frame in bytes.
+    pub frame_bytes: u32,
+    /// Events decoded from words.
+    pub events: u32,
+    /// Events that were lost on the link: in damaged packets, by the packets' positions.
+    pub lost: u32,
+    /// Events that came while no window was free, or while no encoder was set up.
+    pub dropped: u32,
+    /// Words that were no events and no times, events without a time, bytes left over.
+    pub ignored: u32,
+    /// Bytes that belonged to no packet.
+    pub damaged_bytes: u32,
+    /// Bytes that the UART lost because they were not read in time.
+    pub overruns: u32,
+    /// Windows encoded.
+    pub windows: u32,
+    /// Frames sent.
+    pub frames: u32,
+    /// Time spent on received bytes, in nanoseconds.
+    pub receive_ns: u64,
+    /// Time spent encoding, in nanoseconds, interrupts excluded.
+    pub encode_ns: u64,
+    /// Time spent sending frames, in nanoseconds, interrupts excluded.
+    pub send_ns: u64,
+    /// Bytes of the stack that were ever used.
+    pub stack_bytes: u32,
+}
+
+impl Status {
+    /// Writes it as a packet's body to the start of `out` and returns its length.
+    ///
+    /// # Errors
+    /// [`TooLong`]: `out` is too short; 96 bytes are enough.
+    pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
+        postcard::to_slice(self, out)
+            .map(|bytes| bytes.len())
+            .map_err(|_| TooLong)
+    }
+
+    /// Reads a packet's body; `None` where it is none.
+    #[must_use]
+    pub fn parse(body: &[u8]) -> Option<Self> {
+        let (status, rest) = postcard::take_from_bytes(body).ok()?;
+        rest.is_empty().then_some(status)
     }
 }
 
@@ -291,7 +365,12 @@ mod tests {
 
     fn packet() -> impl Strategy<Value = (Kind, u32, StdVec<u8>)> {
         (
-            prop_oneof![Just(Kind::Setup), Just(Kind::Words), Just(Kind::Flush)],
+            prop_oneof![
+                Just(Kind::Setup),
+                Just(Kind::Words),
+                Just(Kind::Flush),
+                Just(Kind::Status)
+            ],
             any::<u32>(),
             proptest::collection::vec(
                 prop_oneof![any::<u8>(), Just(0xEE), Just(0xC6)],
@@ -334,6 +413,7 @@ mod tests {
             grid: 0,
             step_log2: -6,
             time_base_us: u64::MAX,
+            when_full: Setup::WAIT,
         };
         let mut out = [0; 64];
         let len = setup.write(&mut out).unwrap();
@@ -360,9 +440,40 @@ mod tests {
                 step_log2: 9,
                 ..setup
             },
+            Setup {
+                when_full: 2,
+                ..setup
+            },
         ] {
             assert_eq!(wrong.config(), None, "{wrong:?}");
         }
+    }
+
+    #[test]
+    fn the_longest_status_returns() {
+        let status = Status {
+            answers: u8::MAX,
+            running: true,
+            window_events: u32::MAX,
+            frame_bytes: u32::MAX,
+            events: u32::MAX,
+            lost: u32::MAX,
+            dropped: u32::MAX,
+            ignored: u32::MAX,
+            damaged_bytes: u32::MAX,
+            overruns: u32::MAX,
+            windows: u32::MAX,
+            frames: u32::MAX,
+            receive_ns: u64::MAX,
+            encode_ns: u64::MAX,
+            send_ns: u64::MAX,
+            stack_bytes: u32::MAX,
+        };
+        let mut out = [0; 96];
+        let len = status.write(&mut out).unwrap();
+        assert_eq!(Status::parse(&out[..len]), Some(status));
+        assert_eq!(Status::parse(&out[..=len]), None);
+        assert_eq!(Status::parse(&out[..len - 1]), None);
     }
 
     #[test]
