@@ -256,6 +256,8 @@ pub struct Receiver {
     buffer: Vec<u8, PACKET_BYTES_MAX>,
     /// Length of the packet that was handed out and is still in the buffer.
     taken: usize,
+    /// Bytes in the buffer from which on there is something new to see.
+    awaited: usize,
     damaged_bytes: u32,
 }
 
@@ -266,6 +268,7 @@ impl Receiver {
         Self {
             buffer: Vec::new(),
             taken: 0,
+            awaited: 1,
             damaged_bytes: 0,
         }
     }
@@ -279,69 +282,116 @@ impl Receiver {
     /// Takes the next byte; returns the packet that it completes.
     ///
     /// After damage the search goes on at the next sync bytes within what was received. A byte may
-    /// so complete one packet while a further whole one waits: it is returned with a later byte,
-    /// at the latest with the next packet's.
+    /// so complete several packets: [`Receiver::next_packet`] has the others.
     pub fn push(&mut self, byte: u8) -> Option<Packet<'_>> {
-        self.discard(self.taken);
-        self.taken = 0;
-        // Never full: whatever can be a packet is shorter, and all else is discarded below.
+        self.release();
+        self.put(byte);
+        self.next_packet()
+    }
+
+    /// Takes the next byte and looks at nothing. All packets before it must have been taken.
+    #[inline]
+    pub fn put(&mut self, byte: u8) {
+        // Never full: whatever can be a packet is shorter, and all else is discarded.
         let _ = self.buffer.push(byte);
+    }
+
+    /// The next packet of what was received, if it is whole.
+    #[inline]
+    pub fn next_packet(&mut self) -> Option<Packet<'_>> {
+        self.release();
+        if self.buffer.len() < self.awaited {
+            return None;
+        }
+        self.search();
+        self.packet()
+    }
+
+    /// The packet that was returned last, until the next one is asked for.
+    #[inline]
+    #[must_use]
+    pub fn packet(&self) -> Option<Packet<'_>> {
+        let packet = self.buffer.get(..self.taken)?;
+        let (head, rest) = packet.split_first_chunk::<HEAD_BYTES>()?;
+        let (body, _) = rest.split_last_chunk::<CRC_BYTES>()?;
+        Some(Packet {
+            kind: Kind::from_code(head[2])?,
+            position: u32::from_le_bytes([head[5], head[6], head[7], head[8]]),
+            body,
+        })
+    }
+
+    /// Gives up the packet that was returned last.
+    fn release(&mut self) {
+        if self.taken > 0 {
+            let taken = core::mem::take(&mut self.taken);
+            self.discard(taken);
+        }
+    }
+
+    fn search(&mut self) {
         loop {
-            match Self::look(&self.buffer) {
-                Look::More => return None,
+            match look(&self.buffer) {
+                Look::More(awaited) => {
+                    self.awaited = awaited;
+                    return;
+                }
                 Look::Damage => {
                     let skip = next_sync(&self.buffer, SYNC);
-                    self.damaged_bytes = self.damaged_bytes.saturating_add(skip as u32);
+                    self.damaged_bytes = self.damaged_bytes.wrapping_add(skip as u32);
                     self.discard(skip);
                 }
-                Look::Packet(kind, end) => {
+                Look::Packet(end) => {
                     self.taken = end;
-                    let head = &self.buffer[..end];
-                    return Some(Packet {
-                        kind,
-                        position: u32::from_le_bytes([head[5], head[6], head[7], head[8]]),
-                        body: &head[HEAD_BYTES..end - CRC_BYTES],
-                    });
+                    return;
                 }
             }
         }
     }
 
     fn discard(&mut self, bytes: usize) {
-        if bytes > 0 {
-            self.buffer.copy_within(bytes.., 0);
-            self.buffer.truncate(self.buffer.len() - bytes);
-        }
+        let len = self.buffer.len();
+        let bytes = bytes.min(len);
+        self.buffer.copy_within(bytes.., 0);
+        self.buffer.truncate(len - bytes);
+        self.awaited = 1;
     }
+}
 
-    fn look(bytes: &[u8]) -> Look {
-        let sync = bytes.len().min(SYNC.len());
-        if bytes[..sync] != SYNC[..sync] {
-            return Look::Damage;
-        }
-        let Some(kind) = bytes.get(2) else {
-            return Look::More;
+enum Look {
+    /// This many bytes are needed to see more.
+    More(usize),
+    Damage,
+    /// A whole packet of this length.
+    Packet(usize),
+}
+
+fn look(bytes: &[u8]) -> Look {
+    let sync = bytes.len().min(SYNC.len());
+    if bytes[..sync] != SYNC[..sync] {
+        return Look::Damage;
+    }
+    let Some(head) = bytes.first_chunk::<HEAD_BYTES>() else {
+        return match bytes.get(2) {
+            Some(kind) if Kind::from_code(*kind).is_none() => Look::Damage,
+            _ => Look::More(bytes.len() + 1),
         };
-        let Some(kind) = Kind::from_code(*kind) else {
-            return Look::Damage;
-        };
-        let Some(len) = bytes.get(3..5) else {
-            return Look::More;
-        };
-        let body = usize::from(u16::from_le_bytes([len[0], len[1]]));
-        if body > BODY_BYTES_MAX {
-            return Look::Damage;
-        }
-        let crc_at = HEAD_BYTES + body;
-        let end = crc_at + CRC_BYTES;
-        let Some(crc) = bytes.get(crc_at..end) else {
-            return Look::More;
-        };
-        if CRC.checksum(&bytes[..crc_at]).to_le_bytes() == *crc {
-            Look::Packet(kind, end)
-        } else {
-            Look::Damage
-        }
+    };
+    let body = usize::from(u16::from_le_bytes([head[3], head[4]]));
+    if Kind::from_code(head[2]).is_none() || body > BODY_BYTES_MAX {
+        return Look::Damage;
+    }
+    let end = HEAD_BYTES + body + CRC_BYTES;
+    let Some((checked, crc)) = bytes
+        .get(..end)
+        .and_then(<[u8]>::split_last_chunk::<CRC_BYTES>)
+    else {
+        return Look::More(end);
+    };
+    if CRC.checksum(checked).to_le_bytes() == *crc {
+        Look::Packet(end)
+    } else {
+        Look::Damage
     }
 }
 
@@ -349,12 +399,6 @@ impl Default for Receiver {
     fn default() -> Self {
         Self::new()
     }
-}
-
-enum Look {
-    More,
-    Damage,
-    Packet(Kind, usize),
 }
 
 #[cfg(test)]
@@ -393,8 +437,15 @@ mod tests {
     fn receive(receiver: &mut Receiver, bytes: &[u8]) -> StdVec<(Kind, u32, StdVec<u8>)> {
         let mut found = StdVec::new();
         for byte in bytes {
-            if let Some(packet) = receiver.push(*byte) {
-                found.push((packet.kind, packet.position, packet.body.to_vec()));
+            let mut packet = receiver.push(*byte);
+            while let Some(Packet {
+                kind,
+                position,
+                body,
+            }) = packet
+            {
+                found.push((kind, position, body.to_vec()));
+                packet = receiver.next_packet();
             }
         }
         found

@@ -95,6 +95,8 @@ pub struct Evt2Encoder {
     base_us: u64,
     /// What the receiver's decoder has seen: an event that it would not give back is refused.
     decoder: Evt2Decoder,
+    /// The next event gets a `TIME_HIGH` in any case.
+    restates: bool,
 }
 
 impl Evt2Encoder {
@@ -104,7 +106,14 @@ impl Evt2Encoder {
         Self {
             base_us,
             decoder: Evt2Decoder::new(base_us),
+            restates: false,
         }
+    }
+
+    /// Has the next event begin with a `TIME_HIGH`, due or not: the start of a packet, which must
+    /// not depend on one that may be lost.
+    pub const fn restate_time(&mut self) {
+        self.restates = true;
     }
 
     /// The `TIME_HIGH` to send first, if one is due, and the event's word.
@@ -114,7 +123,8 @@ impl Evt2Encoder {
     pub fn encode(&mut self, event: Event) -> Option<(Option<u32>, u32)> {
         let time_us = event.t_us.checked_sub(self.base_us)?;
         let high = (time_us >> LOW_BITS) as u32 & HIGH_MASK;
-        let due = (self.decoder.high != Some(high)).then_some((TIME_HIGH << 28) | high);
+        let is_due = self.restates || self.decoder.high != Some(high);
+        let due = is_due.then_some((TIME_HIGH << 28) | high);
         let low = time_us as u32 & ((1 << LOW_BITS) - 1);
         let word = ((event.polarity as u32) << 28)
             | (low << 22)
@@ -128,6 +138,7 @@ impl Evt2Encoder {
             return None;
         }
         self.decoder = decoder;
+        self.restates = false;
         Some((due, word))
     }
 }

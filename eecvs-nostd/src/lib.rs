@@ -24,6 +24,7 @@ pub mod evt2;
 pub mod fixed_point;
 pub mod frame;
 pub mod group;
+pub mod ingest;
 pub mod link;
 pub mod pack;
 pub mod phase;

@@ -1,10 +1,15 @@
 //! The open window: its event buffer and its closing rule.
 
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
 use crate::event::{Event, Polarity, Sensor};
 
 /// One buffered event: 8 bytes. All zero is a valid empty slot, so buffers live in `.bss`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Default, FromBytes, Immutable, IntoBytes, KnownLayout,
+)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(C)]
 pub struct Slot {
     /// t - t0 in microseconds.
     offset_us: u32,
@@ -72,6 +77,9 @@ pub const fn bitmap_words(segments: usize) -> usize {
     words + words.div_ceil(32)
 }
 
+/// Index + 1 of a segment's newest event.
+pub type Head = u32;
+
 /// Which sensor, and how long a window is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -92,6 +100,54 @@ pub struct WindowBuffers<'b> {
     /// [`bitmap_words`] words: which segments have events.
     pub bitmap: &'b mut [u32],
 }
+
+impl<'b> WindowBuffers<'b> {
+    /// Divides memory between the buffers of `windows` windows of a sensor, in equal shares, and
+    /// zeroes them; each holds as many events as its share has room for. `None` where a share has
+    /// no room for an event.
+    ///
+    /// So one image serves every sensor that fits: what a smaller sensor's segments leave holds
+    /// events.
+    pub fn share(
+        memory: &'b mut [u32],
+        windows: usize,
+        sensor: Sensor,
+    ) -> Option<impl Iterator<Item = Self> + use<'b>> {
+        let segments = segments(sensor.width, sensor.height);
+        let bitmap_words = bitmap_words(segments);
+        let heads_words = (segments * size_of::<Head>()).div_ceil(size_of::<u32>());
+        let share = memory.len() / windows.max(1);
+        let slots = share.checked_sub(bitmap_words + heads_words)? / SLOT_WORDS;
+        if slots == 0 {
+            return None;
+        }
+        memory.fill(0);
+        Some(
+            memory
+                .chunks_exact_mut(share)
+                .take(windows)
+                .filter_map(move |share| {
+                    let (bitmap, share) = share.split_at_mut_checked(bitmap_words)?;
+                    let (heads, share) = share.split_at_mut_checked(heads_words)?;
+                    let events = (share.len() / SLOT_WORDS)
+                        .min(Head::MAX as usize)
+                        .min(EVENTS_MAX);
+                    let (slots, _) =
+                        <[Slot]>::mut_from_prefix_with_elems(share.as_mut_bytes(), events).ok()?;
+                    let (heads, _) =
+                        <[Head]>::mut_from_prefix_with_elems(heads.as_mut_bytes(), segments)
+                            .ok()?;
+                    Some(Self {
+                        slots,
+                        heads,
+                        bitmap,
+                    })
+                }),
+        )
+    }
+}
+
+const SLOT_WORDS: usize = size_of::<Slot>() / size_of::<u32>();
 
 /// What became of a pushed event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -273,6 +329,21 @@ impl<'b> Window<'b> {
     pub fn flush(&mut self) {
         if self.closed.is_none() && (self.len > 0 || self.counts.any()) {
             self.close(self.config.window_us, false, None);
+        }
+    }
+
+    /// Start of the window after this one, or of this one while it is open; `None` where the next
+    /// event will be the start.
+    #[must_use]
+    pub const fn next_start_us(&self) -> Option<u64> {
+        self.start_us
+    }
+
+    /// Continues the grid of another window: this one, empty and open, starts at `start_us`, which
+    /// is the other's [`Window::next_start_us`].
+    pub const fn follow(&mut self, start_us: Option<u64>) {
+        if self.len == 0 && self.closed.is_none() {
+            self.start_us = start_us;
         }
     }
 
