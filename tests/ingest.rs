@@ -5,8 +5,9 @@ use std::collections::VecDeque;
 
 use eecvs_nostd::event_link::{BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Setup};
 use eecvs_nostd::evt2::Evt2Encoder;
-use eecvs_nostd::fixed_point::{Sum, WideSum};
+use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Poll, Work};
+use eecvs_nostd::transform::Impulse;
 use eecvs_nostd::{
     Config, Encoder, Event, Frame, Polarity, Push, Quantiser, Scratch, Sensor, Thresholds, Window,
     WindowBuffers, WindowConfig, WindowEncoder,
@@ -131,6 +132,7 @@ impl Machine {
             Some(Work::Setup(setup, _)) => {
                 let config = setup.config().expect("the test's own");
                 let scratch = Scratch {
+                    impulses: Box::leak(Box::new([Impulse::NONE; CHUNK_EVENTS])),
                     sums: leak(Sum::ZERO, 64),
                     totals: leak(WideSum::ZERO, 64),
                     magnitudes: leak(0, 64),
@@ -194,7 +196,9 @@ fn expected(events: &[Event]) -> Vec<u8> {
         .unwrap();
     let (mut sums, mut totals, mut magnitudes) =
         ([Sum::ZERO; 64], [WideSum::ZERO; 64], [0_u64; 64]);
+    let mut impulses = [Impulse::NONE; CHUNK_EVENTS];
     let scratch = Scratch {
+        impulses: &mut impulses,
         sums: &mut sums,
         totals: &mut totals,
         magnitudes: &mut magnitudes,

@@ -2,7 +2,8 @@
 
 use std::mem::size_of;
 
-use eecvs_nostd::fixed_point::{Sum, WideSum};
+use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
+use eecvs_nostd::transform::Impulse;
 use eecvs_nostd::{Slot, WindowEncoder, bitmap_words, segments};
 
 const WINDOWS: usize = 2;
@@ -25,6 +26,7 @@ fn the_budget_of_the_linker_script_is_true() {
             "scratch",
             numbers * (size_of::<Sum>() + size_of::<WideSum>() + size_of::<u64>()),
         ),
+        ("chunk", size_of::<[Impulse; CHUNK_EVENTS]>()),
         // Of a 64-bit host: pointers are narrower on the target.
         ("encoder", size_of::<WindowEncoder<'_>>()),
         ("output", 4096),

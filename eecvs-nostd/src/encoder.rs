@@ -62,6 +62,22 @@ pub enum SetupError {
 }
 
 impl Config {
+    /// Whether it can run with scratch memory for `numbers` numbers.
+    const fn check(&self, numbers: usize) -> Result<(), ConfigError> {
+        if self.m == 0 || self.m as usize > M_MAX {
+            return Err(ConfigError::M);
+        }
+        if let Some(grid) = self.grid
+            && (grid == 0 || grid as usize > GRID_MAX)
+        {
+            return Err(ConfigError::Grid);
+        }
+        if numbers < 2 * self.grid_max() {
+            return Err(ConfigError::Scratch);
+        }
+        Ok(())
+    }
+
     /// Largest K of any window.
     const fn grid_max(&self) -> usize {
         let mut most = 0;
@@ -82,15 +98,32 @@ impl Config {
     }
 }
 
-/// Memory lent for the coefficients of one pixel: 2K of each, zeroed or not.
+/// Memory lent for one pixel, zeroed or not: a chunk of its events, and 2K of each number of its
+/// coefficients.
 #[derive(Debug)]
 pub struct Scratch<'b> {
+    /// Events of a chunk.
+    pub impulses: &'b mut [Impulse; CHUNK_EVENTS],
     /// Sums of a chunk.
     pub sums: &'b mut [Sum],
     /// Sums of a pixel of several chunks.
     pub totals: &'b mut [WideSum],
     /// Magnitudes and their copy.
     pub magnitudes: &'b mut [u64],
+}
+
+impl Scratch<'_> {
+    /// Numbers that every part has room for.
+    const fn numbers(&self) -> usize {
+        let mut least = self.sums.len();
+        if self.totals.len() < least {
+            least = self.totals.len();
+        }
+        if self.magnitudes.len() < least {
+            least = self.magnitudes.len();
+        }
+        least
+    }
 }
 
 /// The window being encoded.
@@ -116,7 +149,6 @@ pub struct Encoded {
 pub struct WindowEncoder<'b> {
     config: Config,
     scratch: Scratch<'b>,
-    impulses: [Impulse; CHUNK_EVENTS],
     group: Group,
     task: Option<Task>,
     sequence: u32,
@@ -128,29 +160,29 @@ impl<'b> WindowEncoder<'b> {
     /// # Errors
     /// [`ConfigError`].
     pub const fn new(config: Config, scratch: Scratch<'b>) -> Result<Self, ConfigError> {
-        if config.m == 0 || config.m as usize > M_MAX {
-            return Err(ConfigError::M);
-        }
-        if let Some(grid) = config.grid
-            && (grid == 0 || grid as usize > GRID_MAX)
-        {
-            return Err(ConfigError::Grid);
-        }
-        let numbers = 2 * config.grid_max();
-        if scratch.sums.len() < numbers
-            || scratch.totals.len() < numbers
-            || scratch.magnitudes.len() < numbers
-        {
-            return Err(ConfigError::Scratch);
+        if let Err(error) = config.check(scratch.numbers()) {
+            return Err(error);
         }
         Ok(Self {
             config,
             scratch,
-            impulses: [Impulse::NONE; CHUNK_EVENTS],
             group: Group::new(),
             task: None,
             sequence: 0,
         })
+    }
+
+    /// Starts anew with another configuration; on an error the one before stays. A window that was
+    /// being encoded is forgotten.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn set_up(&mut self, config: Config) -> Result<(), ConfigError> {
+        config.check(self.scratch.numbers())?;
+        self.config = config;
+        self.task = None;
+        self.sequence = 0;
+        Ok(())
     }
 
     /// The configuration.
@@ -290,11 +322,11 @@ impl<'b> WindowEncoder<'b> {
     ) -> (Descriptor, u32) {
         let grid = usize::from(header.grid);
         let Scratch {
+            impulses,
             sums,
             totals,
             magnitudes,
         } = &mut self.scratch;
-        let impulses = &mut self.impulses;
         B::accumulate(chunks.fill(impulses), grid, sums);
         if pixel.on + pixel.off <= CHUNK_EVENTS as u32 {
             return select_levels::<B, _>(pixel, header, sums, magnitudes);

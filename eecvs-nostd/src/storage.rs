@@ -1,14 +1,15 @@
 //! Static memory of an encoder.
 
 use crate::encoder::{Config, Encoder, Scratch, SetupError};
-use crate::fixed_point::{Sum, WideSum};
+use crate::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
+use crate::transform::Impulse;
 use crate::window::{Slot, WindowBuffers};
 
 /// Every buffer of an encoder, zeroed, for `.bss`.
 ///
 /// `EVENTS` of a window: 8 bytes each. `SEGMENTS` = [`crate::segments`] of the sensor: 4 bytes
 /// each. `BITMAP` = [`crate::bitmap_words`] of them: 4 bytes each. `NUMBERS` = 2K for the largest
-/// K in use: 20 bytes each.
+/// K in use: 20 bytes each. A chunk of 255 events takes 8 bytes each.
 #[derive(Debug)]
 pub struct Storage<
     const EVENTS: usize,
@@ -19,6 +20,7 @@ pub struct Storage<
     slots: [Slot; EVENTS],
     heads: [u32; SEGMENTS],
     bitmap: [u32; BITMAP],
+    impulses: [Impulse; CHUNK_EVENTS],
     sums: [Sum; NUMBERS],
     totals: [WideSum; NUMBERS],
     magnitudes: [u64; NUMBERS],
@@ -34,6 +36,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             slots: [Slot::EMPTY; EVENTS],
             heads: [0; SEGMENTS],
             bitmap: [0; BITMAP],
+            impulses: [Impulse::NONE; CHUNK_EVENTS],
             sums: [Sum::ZERO; NUMBERS],
             totals: [WideSum::ZERO; NUMBERS],
             magnitudes: [0; NUMBERS],
@@ -53,6 +56,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             bitmap: &mut self.bitmap,
         };
         let scratch = Scratch {
+            impulses: &mut self.impulses,
             sums: &mut self.sums,
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
@@ -111,6 +115,13 @@ mod tests {
                 .chain(&storage.bitmap)
                 .all(|word| *word == 0)
         );
+        assert!(
+            storage
+                .impulses
+                .iter()
+                .all(|impulse| *impulse == Impulse::NONE)
+        );
+        assert_eq!((Impulse::NONE.phase.to_bits(), Impulse::NONE.sign), (0, 0));
         assert!(storage.sums.iter().all(|sum| sum.to_bits() == 0));
         assert!(storage.totals.iter().all(|total| total.to_bits() == 0));
         assert!(storage.magnitudes.iter().all(|magnitude| *magnitude == 0));
@@ -121,12 +132,14 @@ mod tests {
         let (mut slots, mut heads, mut bitmap) = ([Slot::EMPTY; 1], [0; SEGMENTS], [0; BITMAP]);
         let (mut sums, mut totals) = ([Sum::ZERO; 64], [WideSum::ZERO; 64]);
         let mut magnitudes = [0; 64];
+        let mut impulses = [Impulse::NONE; CHUNK_EVENTS];
         let buffers = WindowBuffers {
             slots: &mut slots,
             heads: &mut heads,
             bitmap: &mut bitmap,
         };
         let scratch = Scratch {
+            impulses: &mut impulses,
             sums: &mut sums,
             totals: &mut totals,
             magnitudes: &mut magnitudes,

@@ -3,6 +3,9 @@
 //! | file | what |
 //! |---|---|
 //! | `board/` | set-up of a machine: clocks, pins, the UART of the link |
+//! | `receiving.rs` | the interrupts' side: bytes to windows |
+//! | `encoding.rs` | `main`'s side: windows to frames |
+//! | `clock.rs` | time, and what interrupts took of it |
 //! | `log.rs` | defmt over RTT on a board, over semihosting in QEMU |
 //! | `stack.rs` | the stack's painted floor, and what happens when it is crossed |
 //! | `bin/encoder.rs` | the image to flash: events in, frames out |
@@ -13,5 +16,11 @@
 use panic_probe as _;
 
 pub mod board;
+#[cfg(not(feature = "microbit"))]
+pub mod clock;
+#[cfg(not(feature = "microbit"))]
+pub mod encoding;
 pub mod log;
+#[cfg(not(feature = "microbit"))]
+pub mod receiving;
 pub mod stack;

@@ -4,7 +4,8 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use eecvs_nostd::fixed_point::{Sum, WideSum};
+use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
+use eecvs_nostd::transform::Impulse;
 use eecvs_nostd::{
     Config, Encoder, OUTPUT_BYTES_MIN, Push, Scratch, Sensor, SetupError, Slot, Transform,
     WindowBuffers, bitmap_words, segments,
@@ -22,6 +23,7 @@ pub struct HostStorage {
     slots: Vec<Slot>,
     heads: Vec<u32>,
     bitmap: Vec<u32>,
+    impulses: Box<[Impulse; CHUNK_EVENTS]>,
     sums: Vec<Sum>,
     totals: Vec<WideSum>,
     magnitudes: Vec<u64>,
@@ -37,6 +39,7 @@ impl HostStorage {
             slots: vec![Slot::EMPTY; window_events],
             heads: vec![0; segments],
             bitmap: vec![0; bitmap_words(segments)],
+            impulses: Box::new([Impulse::NONE; CHUNK_EVENTS]),
             sums: vec![Sum::ZERO; numbers],
             totals: vec![WideSum::ZERO; numbers],
             magnitudes: vec![0; numbers],
@@ -56,6 +59,7 @@ impl HostStorage {
             bitmap: &mut self.bitmap,
         };
         let scratch = Scratch {
+            impulses: &mut self.impulses,
             sums: &mut self.sums,
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,

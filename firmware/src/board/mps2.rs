@@ -1,7 +1,128 @@
 //! ARM MPS2+ boards AN386 (Cortex-M4) and AN500 (Cortex-M7), in QEMU only.
 
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use cortex_m::Peripherals;
+use cortex_m::peripheral::NVIC;
+use cortex_m_rt::exception;
+
+use crate::receiving::{self, Bytes};
+
+/// Of the machine.
+pub const NAME: &str = "mps2";
+/// Processor clock.
+pub const CLOCK_HZ: u32 = 25_000_000;
+
+/// Receive interrupt of UART 0.
+#[derive(Clone, Copy)]
+struct Uart0Receive;
+
+// SAFETY: interrupt 0 of both boards.
+unsafe impl cortex_m::interrupt::InterruptNumber for Uart0Receive {
+    fn number(self) -> u16 {
+        0
+    }
+}
+
+/// Registers of UART 0 (CMSDK APB UART), from its base on.
+const UART0: *mut u32 = 0x4000_4000 as *mut u32;
+const DATA: usize = 0;
+const STATE: usize = 1;
+const CONTROL: usize = 2;
+const INTERRUPT_CLEAR: usize = 3;
+const BAUD_DIVIDER: usize = 4;
+
+const SEND_FULL: u32 = 1;
+const RECEIVE_FULL: u32 = 1 << 1;
+const RECEIVE_OVERRUN: u32 = 1 << 3;
+const SEND_ENABLE: u32 = 1;
+const RECEIVE_ENABLE: u32 = 1 << 1;
+const RECEIVE_INTERRUPT: u32 = 1 << 3;
+const RECEIVE_INTERRUPT_CLEAR: u32 = 1 << 1;
+
+static OVERRUNS: AtomicU32 = AtomicU32::new(0);
+
+fn read(register: usize) -> u32 {
+    // SAFETY: one of the UART's five registers, which are words; the UART is this module's alone.
+    unsafe { UART0.add(register).read_volatile() }
+}
+
+fn write(register: usize, value: u32) {
+    // SAFETY: as for `read`.
+    unsafe { UART0.add(register).write_volatile(value) }
+}
+
 /// Whether this is an emulator, which takes semihosting calls.
 #[must_use]
 pub fn is_emulated() -> bool {
     true
+}
+
+/// Sending half of the link.
+#[derive(Debug)]
+pub struct Sender(());
+
+/// Sets the UART up.
+pub fn set_up(_: &mut Peripherals) -> Option<Sender> {
+    write(BAUD_DIVIDER, 16);
+    write(CONTROL, SEND_ENABLE | RECEIVE_ENABLE | RECEIVE_INTERRUPT);
+    Some(Sender(()))
+}
+
+/// Lets the receive interrupt run.
+pub fn start_receiving(_: &mut NVIC) {
+    resume_receiving();
+}
+
+impl Sender {
+    /// Sends all bytes; returns when the UART has taken the last.
+    pub fn send(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            while read(STATE) & SEND_FULL != 0 {}
+            write(DATA, u32::from(*byte));
+        }
+    }
+}
+
+/// The next received byte.
+pub fn read_byte() -> Option<u8> {
+    let state = read(STATE);
+    if state & RECEIVE_OVERRUN != 0 {
+        write(STATE, RECEIVE_OVERRUN);
+        // The only writer.
+        OVERRUNS.store(
+            OVERRUNS.load(Ordering::Relaxed).wrapping_add(1),
+            Ordering::Relaxed,
+        );
+    }
+    if state & RECEIVE_FULL == 0 {
+        return None;
+    }
+    write(INTERRUPT_CLEAR, RECEIVE_INTERRUPT_CLEAR);
+    Some(read(DATA) as u8)
+}
+
+/// Times that bytes were lost because they were not read in time.
+pub fn overruns() -> u32 {
+    OVERRUNS.load(Ordering::Relaxed)
+}
+
+/// Leaves received bytes in the UART.
+pub fn hold_receiving() {
+    NVIC::mask(Uart0Receive);
+}
+
+/// Takes received bytes again.
+pub fn resume_receiving() {
+    // SAFETY: what the interrupt shares, it shares through queues.
+    unsafe { NVIC::unmask(Uart0Receive) };
+}
+
+// Every interrupt of the board: without a device's vector table there is one handler for all.
+#[exception]
+unsafe fn DefaultHandler(interrupt: i16) {
+    static mut BYTES: Option<Bytes> = None;
+    if interrupt == 0 {
+        receiving::on_receive(&mut BYTES);
+    }
 }

@@ -1,6 +1,30 @@
-//! STM32F405 (Cortex-M4F, 168 MHz).
+//! STM32F405 (Cortex-M4F, 168 MHz): the link is USART1 at 3 Mbaud with hardware flow control.
+//!
+//! | pin | signal |
+//! |---|---|
+//! | PA9 | TX |
+//! | PA10 | RX |
+//! | PA11 | CTS, pulled down: unconnected, the link sends without asking |
+//! | PA12 | RTS |
 
-use stm32f4::stm32f405::RCC;
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use cortex_m::peripheral::NVIC;
+use stm32f4::stm32f405::{Interrupt, Peripherals, RCC, USART1, interrupt};
+
+use crate::receiving::{self, Bytes};
+
+/// Of the machine.
+pub const NAME: &str = "stm32f405";
+/// Processor clock.
+pub const CLOCK_HZ: u32 = 168_000_000;
+
+/// 84 MHz / 28 = 3 Mbaud, in sixteenths of a bit.
+const BAUD_DIVIDER: u16 = 28;
+/// Alternate function of USART1 on port A.
+const AF7: u8 = 7;
+
+static OVERRUNS: AtomicU32 = AtomicU32::new(0);
 
 /// Whether this is an emulator, which takes semihosting calls: the real chip runs from its
 /// internal oscillator when it leaves reset, and says so; QEMU's reset and clock control reads 0.
@@ -9,4 +33,139 @@ pub fn is_emulated() -> bool {
     // SAFETY: a read of a register that has no side effects.
     let rcc = unsafe { &*RCC::ptr() };
     rcc.cr().read().hsirdy().bit_is_clear()
+}
+
+fn usart() -> &'static stm32f4::stm32f405::usart1::RegisterBlock {
+    // SAFETY: each register used here is a single word, read or written at once; the interrupt
+    // reads data, `main` writes data, and the rest is set once before both.
+    unsafe { &*USART1::ptr() }
+}
+
+/// Sending half of the link.
+#[derive(Debug)]
+pub struct Sender(());
+
+/// Sets clocks, pins and the UART up. `None` when called again.
+pub fn set_up(_: &mut cortex_m::Peripherals) -> Option<Sender> {
+    let device = Peripherals::take()?;
+    if !is_emulated() {
+        start_clock(&device);
+    }
+    device.RCC.ahb1enr().modify(|_, w| w.gpioaen().enabled());
+    device.RCC.apb2enr().modify(|_, w| w.usart1en().enabled());
+    let port = &device.GPIOA;
+    port.afrh().modify(|_, w| {
+        // SAFETY: every value of four bits is an alternate function.
+        unsafe {
+            w.afrh9().bits(AF7);
+            w.afrh10().bits(AF7);
+            w.afrh11().bits(AF7);
+            w.afrh12().bits(AF7)
+        }
+    });
+    port.pupdr()
+        .modify(|_, w| w.pupdr10().pull_up().pupdr11().pull_down());
+    port.ospeedr()
+        .modify(|_, w| w.ospeedr9().high_speed().ospeedr12().high_speed());
+    port.moder().modify(|_, w| {
+        w.moder9().alternate().moder10().alternate();
+        w.moder11().alternate().moder12().alternate()
+    });
+    let usart = usart();
+    // SAFETY: a divider that the clock above gives the baud rate with.
+    usart
+        .brr()
+        .write(|w| unsafe { w.div_mantissa().bits(BAUD_DIVIDER).div_fraction().bits(0) });
+    usart.cr3().write(|w| w.rtse().enabled().ctse().enabled());
+    usart.cr1().write(|w| {
+        w.te().enabled().re().enabled();
+        w.rxneie().enabled().ue().enabled()
+    });
+    Some(Sender(()))
+}
+
+/// 168 MHz from the internal oscillator, which every board has: 16 MHz / 8 * 168 / 2.
+fn start_clock(device: &Peripherals) {
+    let rcc = &device.RCC;
+    // Five wait states at 168 MHz and 3.3 V; instruction and data caches and prefetch.
+    device.FLASH.acr().write(|w| {
+        w.latency().ws5();
+        w.icen().enabled().dcen().enabled().prften().enabled()
+    });
+    rcc.cfgr().modify(|_, w| {
+        // Peripheral buses: at most 42 MHz and 84 MHz.
+        w.ppre1().div4().ppre2().div2()
+    });
+    rcc.pllcfgr().write(|w| {
+        w.pllsrc().hsi();
+        // SAFETY: within 2..=63, 50..=432 and 2..=15.
+        unsafe {
+            w.pllm().bits(8);
+            w.plln().bits(168);
+            w.pllq().bits(7)
+        };
+        w.pllp().div2()
+    });
+    rcc.cr().modify(|_, w| w.pllon().on());
+    while rcc.cr().read().pllrdy().is_not_ready() {}
+    rcc.cfgr().modify(|_, w| w.sw().pll());
+    while !rcc.cfgr().read().sws().is_pll() {}
+}
+
+/// Lets the receive interrupt run.
+pub fn start_receiving(_: &mut NVIC) {
+    resume_receiving();
+}
+
+impl Sender {
+    /// Sends all bytes; returns when the UART has taken the last.
+    pub fn send(&mut self, bytes: &[u8]) {
+        let usart = usart();
+        for byte in bytes {
+            while usart.sr().read().txe().bit_is_clear() {}
+            usart.dr().write(|w| w.dr().set(u16::from(*byte)));
+        }
+    }
+}
+
+/// The next received byte.
+pub fn read_byte() -> Option<u8> {
+    let usart = usart();
+    let status = usart.sr().read();
+    if status.ore().bit_is_set() {
+        // The only writer. Reading the data below clears the flag.
+        OVERRUNS.store(
+            OVERRUNS.load(Ordering::Relaxed).wrapping_add(1),
+            Ordering::Relaxed,
+        );
+    }
+    if status.rxne().bit_is_clear() {
+        if status.ore().bit_is_set() {
+            let _ = usart.dr().read();
+        }
+        return None;
+    }
+    Some(usart.dr().read().dr().bits() as u8)
+}
+
+/// Times that bytes were lost because they were not read in time.
+pub fn overruns() -> u32 {
+    OVERRUNS.load(Ordering::Relaxed)
+}
+
+/// Leaves received bytes in the UART: its flow control holds the sender.
+pub fn hold_receiving() {
+    NVIC::mask(Interrupt::USART1);
+}
+
+/// Takes received bytes again.
+pub fn resume_receiving() {
+    // SAFETY: what the interrupt shares, it shares through queues.
+    unsafe { NVIC::unmask(Interrupt::USART1) };
+}
+
+#[interrupt]
+fn USART1() {
+    static mut BYTES: Option<Bytes> = None;
+    receiving::on_receive(BYTES);
 }

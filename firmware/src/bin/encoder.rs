@@ -1,0 +1,45 @@
+//! The image to flash: events in over the link, frames out.
+//!
+//! | runs in | does |
+//! |---|---|
+//! | the UART's interrupt, highest priority | byte -> ring; holds the link when the ring is full |
+//! | PendSV, lowest priority | ring -> packets -> words -> events -> the open window |
+//! | `main` | closed window -> frames -> UART |
+//!
+//! Two windows take turns, so the next one is received while this one is encoded and sent.
+#![no_std]
+#![no_main]
+
+use cortex_m_rt::{entry, exception};
+use eecvs_firmware::encoding::Encoding;
+use eecvs_firmware::receiving::{self, Receiving};
+use eecvs_firmware::{board, clock};
+
+#[entry]
+fn main() -> ! {
+    let encoding = cortex_m::Peripherals::take().and_then(|mut core| {
+        let sender = board::set_up(&mut core)?;
+        clock::start(&mut core.SYST);
+        Encoding::new(sender, receiving::start(&mut core)?)
+    });
+    let Some(mut encoding) = encoding else {
+        // Every part of the above is there once, and this runs once.
+        defmt::panic!("started twice");
+    };
+    defmt::info!("ready on {=str}", board::NAME);
+    encoding.greet();
+    loop {
+        encoding.work();
+    }
+}
+
+#[exception]
+fn PendSV() {
+    static mut RECEIVING: Option<Receiving> = None;
+    receiving::on_pend(RECEIVING);
+}
+
+#[exception]
+fn SysTick() {
+    clock::on_wrap();
+}

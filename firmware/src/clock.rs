@@ -1,0 +1,100 @@
+//! Time in processor clock ticks, from the SysTick timer; what interrupts took of it is told apart.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m::peripheral::{SCB, SYST};
+
+/// Ticks until the timer wraps: all of its 24 bits.
+const WRAP_TICKS: u32 = 1 << 24;
+
+/// Wraps so far.
+static WRAPS: AtomicU32 = AtomicU32::new(0);
+/// Ticks that interrupts took; wraps.
+static INTERRUPT_TICKS: AtomicU32 = AtomicU32::new(0);
+
+/// Starts the timer.
+pub fn start(timer: &mut SYST) {
+    timer.set_clock_source(SystClkSource::Core);
+    timer.set_reload(WRAP_TICKS - 1);
+    timer.clear_current();
+    timer.enable_counter();
+    timer.enable_interrupt();
+}
+
+/// Counts a wrap: the timer's interrupt calls it.
+pub fn on_wrap() {
+    // The only writer; a load and a store also do without compare-and-swap.
+    WRAPS.store(
+        WRAPS.load(Ordering::Relaxed).wrapping_add(1),
+        Ordering::Relaxed,
+    );
+}
+
+/// Ticks since the start, modulo 2^32: differences up to 25 s at 168 MHz.
+#[must_use]
+pub fn ticks() -> u32 {
+    loop {
+        let wraps = WRAPS.load(Ordering::Relaxed);
+        let pending_before = SCB::is_pendst_pending();
+        let past = WRAP_TICKS - 1 - SYST::get_current();
+        let pending = SCB::is_pendst_pending();
+        // A wrap between the reads: read again. A wrap that no interrupt has counted yet, because
+        // one of at least its priority runs, is counted here.
+        if pending == pending_before && wraps == WRAPS.load(Ordering::Relaxed) {
+            let wraps = wraps.wrapping_add(u32::from(pending));
+            return wraps.wrapping_mul(WRAP_TICKS).wrapping_add(past);
+        }
+    }
+}
+
+/// Ticks that interrupts took since the start; wraps.
+#[must_use]
+pub fn interrupt_ticks() -> u32 {
+    INTERRUPT_TICKS.load(Ordering::Relaxed)
+}
+
+/// Nanoseconds of `ticks`.
+#[must_use]
+pub fn nanoseconds(ticks: u64, clock_hz: u32) -> u64 {
+    const NS_PER_S: u64 = 1_000_000_000;
+    let clock_hz = u64::from(clock_hz);
+    // In two parts, so that nothing overflows within centuries.
+    (ticks / clock_hz)
+        .wrapping_mul(NS_PER_S)
+        .wrapping_add(ticks % clock_hz * NS_PER_S / clock_hz)
+}
+
+/// Measures a stretch of code without the interrupts that came in between.
+#[derive(Debug)]
+pub struct Stopwatch {
+    ticks: u32,
+    interrupt_ticks: u32,
+}
+
+impl Stopwatch {
+    /// Starts.
+    #[must_use]
+    pub fn start() -> Self {
+        Self {
+            interrupt_ticks: INTERRUPT_TICKS.load(Ordering::Relaxed),
+            ticks: ticks(),
+        }
+    }
+
+    /// Ticks since the start, interrupts excluded.
+    #[must_use]
+    pub fn stop(self) -> u32 {
+        let interrupts = INTERRUPT_TICKS
+            .load(Ordering::Relaxed)
+            .wrapping_sub(self.interrupt_ticks);
+        ticks().wrapping_sub(self.ticks).wrapping_sub(interrupts)
+    }
+
+    /// Ends an interrupt: its own ticks are no one else's. Returns them.
+    pub fn stop_interrupt(self) -> u32 {
+        let own = self.stop();
+        INTERRUPT_TICKS.fetch_add(own, Ordering::Relaxed);
+        own
+    }
+}

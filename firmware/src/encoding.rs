@@ -1,0 +1,226 @@
+//! Windows to frames, and frames to the link: `main`'s side.
+
+use eecvs_nostd::event_link::{Kind, Packet, Setup, Status};
+use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
+use eecvs_nostd::ingest::{Counts, Work};
+use eecvs_nostd::transform::Impulse;
+use eecvs_nostd::{
+    Config, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers, WindowConfig,
+    WindowEncoder,
+};
+
+use crate::board::{self, Sender};
+use crate::clock::{Stopwatch, interrupt_ticks, nanoseconds};
+use crate::receiving::Receiver;
+use crate::stack;
+
+/// Windows in turn.
+const WINDOWS: usize = 2;
+/// Memory of all windows in words: memory.x has its budget.
+const WINDOW_WORDS: usize = 22 * 1024;
+/// Numbers of the largest grid: any M up to 64 at its default grid.
+const NUMBERS: usize = 256;
+/// Largest frame.
+const FRAME_BYTES: usize = 4096;
+
+/// What runs before the first setup: never used on events.
+const IDLE: Config = Config {
+    window: WindowConfig {
+        sensor: Sensor {
+            width: 1,
+            height: 1,
+        },
+        window_us: 1,
+    },
+    thresholds: Thresholds::new(0, 0).unwrap(),
+    transform: None,
+    m: 1,
+    grid: None,
+    quantiser: Quantiser::DEFAULT,
+};
+
+/// Ticks, summed up beyond 32 bits.
+#[derive(Default)]
+struct Total {
+    ticks: u64,
+}
+
+impl Total {
+    fn add(&mut self, ticks: u32) {
+        self.ticks = self.ticks.wrapping_add(u64::from(ticks));
+    }
+
+    fn ns(&self) -> u64 {
+        nanoseconds(self.ticks, board::CLOCK_HZ)
+    }
+}
+
+/// The encoder and what it has done.
+pub struct Encoding {
+    sender: Sender,
+    receiver: Receiver,
+    encoder: WindowEncoder<'static>,
+    out: &'static mut [u8; FRAME_BYTES],
+    window_events: usize,
+    running: bool,
+    windows: u32,
+    frames: u32,
+    receive: Total,
+    interrupts_seen: u32,
+    encode: Total,
+    send: Total,
+}
+
+impl Encoding {
+    /// The encoder before its first setup. `None` when called again.
+    pub fn new(sender: Sender, receiver: Receiver) -> Option<Self> {
+        let scratch = Scratch {
+            impulses: cortex_m::singleton!(
+                : [Impulse; CHUNK_EVENTS] = [Impulse::NONE; CHUNK_EVENTS]
+            )?,
+            sums: cortex_m::singleton!(: [Sum; NUMBERS] = [Sum::ZERO; NUMBERS])?,
+            totals: cortex_m::singleton!(: [WideSum; NUMBERS] = [WideSum::ZERO; NUMBERS])?,
+            magnitudes: cortex_m::singleton!(: [u64; NUMBERS] = [0; NUMBERS])?,
+        };
+        Some(Self {
+            sender,
+            receiver,
+            encoder: WindowEncoder::new(IDLE, scratch).ok()?,
+            out: cortex_m::singleton!(: [u8; FRAME_BYTES] = [0; FRAME_BYTES])?,
+            window_events: 0,
+            running: false,
+            windows: 0,
+            frames: 0,
+            receive: Total::default(),
+            interrupts_seen: 0,
+            encode: Total::default(),
+            send: Total::default(),
+        })
+    }
+
+    /// Tells the host that the encoder has started.
+    pub fn greet(&mut self) {
+        self.send_status(0, Counts::default());
+    }
+
+    /// Does one piece of work, or sleeps where there is none.
+    pub fn work(&mut self) {
+        let interrupts = interrupt_ticks();
+        self.receive
+            .add(interrupts.wrapping_sub(self.interrupts_seen));
+        self.interrupts_seen = interrupts;
+        match self.receiver.work() {
+            Some(Work::Window(window)) => self.encode(window),
+            Some(Work::Setup(setup, counts)) => {
+                self.set_up(&setup);
+                self.send_status(Kind::Setup as u8, counts);
+            }
+            Some(Work::Flush(counts)) => {
+                defmt::info!(
+                    "{=u32} windows in {=u32} frames; {}",
+                    self.windows,
+                    self.frames,
+                    counts
+                );
+                self.send_status(Kind::Flush as u8, counts);
+            }
+            None => self.receiver.wait(),
+        }
+    }
+
+    fn encode(&mut self, mut window: Window<'static>) {
+        self.windows = self.windows.wrapping_add(u32::from(window.events() > 0));
+        loop {
+            let stopwatch = Stopwatch::start();
+            let frame = self.encoder.next_frame(&mut window, self.out);
+            self.encode.add(stopwatch.stop());
+            // The output is longer than the least that a frame takes.
+            let Ok(Some(frame)) = frame else {
+                break;
+            };
+            let stopwatch = Stopwatch::start();
+            if let Some(bytes) = self.out.get(frame.range) {
+                self.sender.send(bytes);
+            }
+            self.send.add(stopwatch.stop());
+            self.frames = self.frames.wrapping_add(1);
+            if frame.header.dropped > 0 {
+                defmt::warn!("{=u32} events lost", frame.header.dropped);
+            }
+        }
+        self.receiver.free(window);
+    }
+
+    fn set_up(&mut self, setup: &Setup) {
+        self.running = false;
+        self.window_events = 0;
+        let mut windows = heapless::Vec::<_, WINDOWS>::new();
+        match setup.config() {
+            Some(config) if self.encoder.set_up(config).is_ok() => {
+                for buffers in window_buffers(config.window.sensor).into_iter().flatten() {
+                    self.window_events = buffers.slots.len();
+                    if let Some(window) = Window::new(config.window, buffers) {
+                        // There is room: as many as were asked for.
+                        let _ = windows.push(window);
+                    }
+                }
+                self.running = windows.len() == WINDOWS;
+            }
+            _ => {}
+        }
+        if self.running {
+            defmt::info!("{}: {=usize} events a window", setup, self.window_events);
+        } else {
+            windows.clear();
+            defmt::error!("refused: {}", setup);
+        }
+        self.receiver.set_up(setup, windows.len());
+        for window in windows {
+            self.receiver.free(window);
+        }
+    }
+
+    fn send_status(&mut self, answers: u8, counts: Counts) {
+        let status = Status {
+            answers,
+            running: self.running,
+            window_events: self.window_events as u32,
+            frame_bytes: FRAME_BYTES as u32,
+            events: counts.events,
+            lost: counts.lost,
+            dropped: counts.dropped,
+            ignored: counts.ignored,
+            damaged_bytes: counts.damaged_bytes,
+            overruns: board::overruns(),
+            windows: self.windows,
+            frames: self.frames,
+            receive_ns: self.receive.ns(),
+            encode_ns: self.encode.ns(),
+            send_ns: self.send.ns(),
+            stack_bytes: stack::used_bytes(),
+        };
+        let mut body = [0; 96];
+        let mut packet = [0; 128];
+        let Ok(len) = status.write(&mut body) else {
+            return;
+        };
+        let written = Packet {
+            kind: Kind::Status,
+            position: counts.events,
+            body: &body[..len],
+        }
+        .write(&mut packet);
+        if let Ok(len) = written {
+            self.sender.send(&packet[..len]);
+        }
+    }
+}
+
+/// The windows' memory, divided for a sensor; `None` where it is too small.
+fn window_buffers(sensor: Sensor) -> Option<impl Iterator<Item = WindowBuffers<'static>>> {
+    static mut MEMORY: [u32; WINDOW_WORDS] = [0; WINDOW_WORDS];
+    // SAFETY: called on a setup only, by `main` alone, when every window made of this memory
+    // before has come back and was dropped: `Ingest` hands a setup over only then.
+    let memory = unsafe { &mut *(&raw mut MEMORY) };
+    WindowBuffers::share(memory, WINDOWS, sensor)
+}

@@ -1,0 +1,168 @@
+//! Bytes from the link to windows: the interrupts' side.
+
+use core::cell::RefCell;
+
+use cortex_m::Peripherals;
+use cortex_m::peripheral::SCB;
+use cortex_m::peripheral::scb::SystemHandler;
+use critical_section::Mutex;
+use eecvs_nostd::Window;
+use eecvs_nostd::event_link::Setup;
+use eecvs_nostd::ingest::{Exchange, Ingest, Work};
+use heapless::spsc::{Consumer, Producer, Queue};
+
+use crate::board;
+use crate::clock::Stopwatch;
+
+/// Bytes between the UART's interrupt and PendSV: two of the longest packets.
+const RING_BYTES: usize = 1024;
+/// The lowest priority there is.
+const LOWEST: u8 = 0xff;
+
+/// Where the UART's interrupt puts bytes.
+pub type Bytes = Producer<'static, u8>;
+
+/// PendSV's ends of the queues.
+pub struct Receiving {
+    bytes: Consumer<'static, u8>,
+    ingest: Ingest<'static>,
+    queues: Queues,
+}
+
+struct Queues {
+    free: Consumer<'static, Window<'static>>,
+    work: Producer<'static, Work<'static>>,
+    set_up: Consumer<'static, (Setup, usize)>,
+}
+
+impl Exchange<'static> for Queues {
+    fn free(&mut self) -> Option<Window<'static>> {
+        self.free.dequeue()
+    }
+
+    fn hand_over(&mut self, work: Work<'static>) -> Result<(), Work<'static>> {
+        self.work.enqueue(work)
+    }
+}
+
+/// `main`'s ends of the queues.
+pub struct Receiver {
+    free: Producer<'static, Window<'static>>,
+    work: Consumer<'static, Work<'static>>,
+    set_up: Producer<'static, (Setup, usize)>,
+}
+
+impl Receiver {
+    /// What is to be done next.
+    pub fn work(&mut self) -> Option<Work<'static>> {
+        self.work.dequeue()
+    }
+
+    /// Sleeps until an interrupt, unless there is work.
+    pub fn wait(&self) {
+        // An interrupt that comes before the sleep stays pending and ends it.
+        cortex_m::interrupt::disable();
+        if !self.work.ready() {
+            cortex_m::asm::wfi();
+        }
+        // SAFETY: enabled before, and no critical section is open here.
+        unsafe { cortex_m::interrupt::enable() };
+    }
+
+    /// Gives a window back.
+    pub fn free(&mut self, window: Window<'static>) {
+        // There is room for every window.
+        let _ = self.free.enqueue(window);
+        SCB::set_pendsv();
+    }
+
+    /// Tells that the setup is done and `windows` windows follow.
+    pub fn set_up(&mut self, setup: &Setup, windows: usize) {
+        // One setup at a time.
+        let _ = self.set_up.enqueue((*setup, windows));
+        SCB::set_pendsv();
+    }
+}
+
+/// Ends of the queues on their way to the interrupts that use them.
+static BYTES: Mutex<RefCell<Option<Bytes>>> = Mutex::new(RefCell::new(None));
+static RECEIVING: Mutex<RefCell<Option<Receiving>>> = Mutex::new(RefCell::new(None));
+
+/// Sets the queues up and starts the interrupts. `None` when called again.
+pub fn start(core: &mut Peripherals) -> Option<Receiver> {
+    let (into_ring, ring) = cortex_m::singleton!(: Queue<u8, RING_BYTES> = Queue::new())?.split();
+    let (give_free, free) =
+        cortex_m::singleton!(: Queue<Window<'static>, 4> = Queue::new())?.split();
+    let (hand_over, work) = cortex_m::singleton!(: Queue<Work<'static>, 5> = Queue::new())?.split();
+    let (tell, set_up) = cortex_m::singleton!(: Queue<(Setup, usize), 2> = Queue::new())?.split();
+    critical_section::with(|token| {
+        BYTES.borrow_ref_mut(token).replace(into_ring);
+        RECEIVING.borrow_ref_mut(token).replace(Receiving {
+            bytes: ring,
+            ingest: Ingest::new(),
+            queues: Queues {
+                free,
+                work: hand_over,
+                set_up,
+            },
+        });
+    });
+    // SAFETY: nothing here relies on priorities for exclusion: every queue has one user at each
+    // end.
+    unsafe { core.SCB.set_priority(SystemHandler::PendSV, LOWEST) };
+    board::start_receiving(&mut core.NVIC);
+    Some(Receiver {
+        free: give_free,
+        work,
+        set_up: tell,
+    })
+}
+
+/// The UART's interrupt: takes every byte that is there.
+///
+/// `bytes` is the interrupt's own; the first call fetches it.
+pub fn on_receive(bytes: &mut Option<Bytes>) {
+    let stopwatch = Stopwatch::start();
+    if bytes.is_none() {
+        *bytes = critical_section::with(|token| BYTES.borrow_ref_mut(token).take());
+    }
+    if let Some(bytes) = bytes {
+        // A full ring leaves bytes in the UART, whose flow control then holds the sender.
+        while bytes.ready() {
+            let Some(byte) = board::read_byte() else {
+                break;
+            };
+            let _ = bytes.enqueue(byte);
+        }
+        if !bytes.ready() {
+            board::hold_receiving();
+        }
+    }
+    SCB::set_pendsv();
+    stopwatch.stop_interrupt();
+}
+
+/// PendSV: packets, words, events, windows. `receiving` is its own; the first call fetches it.
+pub fn on_pend(receiving: &mut Option<Receiving>) {
+    let stopwatch = Stopwatch::start();
+    if receiving.is_none() {
+        *receiving = critical_section::with(|token| RECEIVING.borrow_ref_mut(token).take());
+    }
+    if let Some(Receiving {
+        bytes,
+        ingest,
+        queues,
+    }) = receiving
+    {
+        if ingest.is_setting_up()
+            && let Some((setup, windows)) = queues.set_up.dequeue()
+        {
+            ingest.set_up(&setup, windows);
+        }
+        ingest.poll(|| bytes.dequeue(), queues);
+        if bytes.len() < RING_BYTES / 2 {
+            board::resume_receiving();
+        }
+    }
+    stopwatch.stop_interrupt();
+}
