@@ -221,6 +221,6 @@ fn window_buffers(sensor: Sensor) -> Option<impl Iterator<Item = WindowBuffers<'
     static mut MEMORY: [u32; WINDOW_WORDS] = [0; WINDOW_WORDS];
     // SAFETY: called on a setup only, by `main` alone, when every window made of this memory
     // before has come back and was dropped: `Ingest` hands a setup over only then.
-    let memory = unsafe { &mut *(&raw mut MEMORY) };
+    let memory = unsafe { (&raw mut MEMORY).as_mut() }?;
     WindowBuffers::share(memory, WINDOWS, sensor)
 }
