@@ -1,9 +1,24 @@
-//! Puts the machine's memory regions where the linker looks for them.
+//! Puts the machine's memory regions where the linker looks for them, and the golden vectors where
+//! `bin/golden.rs` does.
 
-use std::path::Path;
+use std::error::Error;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
 use std::{env, fs};
 
-fn main() {
+use serde::Deserialize;
+
+const GOLDEN: &str = "../tests/golden";
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let out = PathBuf::from(env::var("OUT_DIR")?);
+    memory(&out)?;
+    fs::write(out.join("golden.rs"), golden()?)?;
+    println!("cargo:rerun-if-changed=build.rs");
+    Ok(())
+}
+
+fn memory(out: &Path) -> Result<(), Box<dyn Error>> {
     let machines = [
         ("STM32F405", "../memory.x"),
         ("MPS2", "memory/mps2.x"),
@@ -13,14 +28,70 @@ fn main() {
         .iter()
         .filter(|(feature, _)| env::var_os(format!("CARGO_FEATURE_{feature}")).is_some());
     let (Some((_, script)), None) = (chosen.next(), chosen.next()) else {
-        panic!("choose one machine: build with firmware/build.sh MACHINE");
+        return Err("choose one machine: build with firmware/build.sh MACHINE".into());
     };
-    let out = env::var("OUT_DIR").expect("cargo sets OUT_DIR");
-    fs::copy(script, Path::new(&out).join("memory.x")).expect("the memory regions are there");
-    println!("cargo:rustc-link-search={out}");
+    fs::copy(script, out.join("memory.x"))?;
+    println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rerun-if-changed={script}");
-    println!("cargo:rerun-if-changed=build.rs");
     for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
         println!("cargo:rustc-link-arg-bins={argument}");
     }
+    Ok(())
+}
+
+/// What `bin/golden.rs` needs of a vector; `tests/golden.rs` writes and describes them.
+#[derive(Deserialize)]
+struct Golden {
+    width: u16,
+    height: u16,
+    transform: String,
+    m: u8,
+    events: Vec<(u64, u16, u16, u8)>,
+    frames: Vec<String>,
+}
+
+/// The vectors as Rust constants.
+fn golden() -> Result<String, Box<dyn Error>> {
+    println!("cargo:rerun-if-changed={GOLDEN}");
+    let mut paths = fs::read_dir(GOLDEN)?
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect::<Result<Vec<_>, _>>()?;
+    paths.sort();
+    let mut text = String::from("static GOLDEN: &[Golden] = &[\n");
+    for path in paths {
+        let golden: Golden = serde_json::from_str(&fs::read_to_string(&path)?)?;
+        let Golden {
+            width,
+            height,
+            transform,
+            m,
+            events,
+            frames,
+        } = golden;
+        let frames = frames
+            .iter()
+            .map(|frame| bytes(frame))
+            .collect::<Result<Vec<_>, _>>()?;
+        writeln!(
+            text,
+            "Golden {{ width: {width}, height: {height}, transform: {transform:?}, m: {m}, \
+             events: &{events:?}, frames: &["
+        )?;
+        for frame in frames {
+            writeln!(text, "&{frame:?},")?;
+        }
+        text.push_str("] },\n");
+    }
+    text.push_str("];\n");
+    Ok(text)
+}
+
+fn bytes(hex: &str) -> Result<Vec<u8>, Box<dyn Error>> {
+    (0..hex.len())
+        .step_by(2)
+        .map(|at| {
+            let digits = hex.get(at..at + 2).ok_or("an odd number of digits")?;
+            Ok(u8::from_str_radix(digits, 16)?)
+        })
+        .collect()
 }

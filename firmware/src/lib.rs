@@ -7,9 +7,11 @@
 //! | `encoding.rs` | `main`'s side: windows to frames |
 //! | `clock.rs` | time, and what interrupts took of it |
 //! | `log.rs` | defmt over RTT on a board, over semihosting in QEMU |
-//! | `stack.rs` | the stack's painted floor, and what happens when it is crossed |
+//! | `stack.rs` | how much of the stack was used |
+//! | `fault.rs` | what happens on a panic, a fault, or when the stack's floor is crossed |
 //! | `bin/encoder.rs` | the image to flash: events in, frames out |
 //! | `bin/golden.rs` | the golden vectors, on the target |
+//! | `bin/overflow.rs` | a stack overflow, which must end in `fault.rs` |
 //! | `bin/instructions.rs` | instructions per event and stage |
 #![no_std]
 
@@ -20,6 +22,7 @@ pub mod board;
 pub mod clock;
 #[cfg(not(feature = "microbit"))]
 pub mod encoding;
+pub mod fault;
 pub mod log;
 #[cfg(not(feature = "microbit"))]
 pub mod receiving;

@@ -83,7 +83,7 @@ unsafe impl defmt::Logger for Logger {
             encoder.end_frame(|bytes| sink.write(bytes));
             log.restore.take()
         });
-        if let Some(restore) = restore {
+        if let Some(Some(restore)) = restore {
             // SAFETY: the state that `acquire` got.
             unsafe { critical_section::release(restore) };
         }
@@ -97,6 +97,10 @@ unsafe impl defmt::Logger for Logger {
     }
 }
 
-fn with<R>(act: impl FnOnce(&mut Log) -> R) -> R {
-    critical_section::with(|token| act(&mut LOG.borrow_ref_mut(token)))
+/// `None` where the log is in use: a fault in the middle of it must not end in another one.
+fn with<R>(act: impl FnOnce(&mut Log) -> R) -> Option<R> {
+    critical_section::with(|token| {
+        let mut log = LOG.borrow(token).try_borrow_mut().ok()?;
+        Some(act(&mut log))
+    })
 }

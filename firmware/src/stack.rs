@@ -10,6 +10,12 @@ unsafe extern "C" {
     static _stack_end: u32;
 }
 
+/// Whether a stack pointer stands below the stack.
+#[must_use]
+pub fn is_overflow(pointer: u32) -> bool {
+    pointer < addr_of!(_stack_end) as u32
+}
+
 /// Bytes of the stack that were ever written to.
 #[must_use]
 pub fn used_bytes() -> u32 {

@@ -1,0 +1,42 @@
+//! The end of a panic, of a fault, and of a stack that crossed its floor: a board starts anew, an
+//! emulator exits with an error.
+
+use core::arch::global_asm;
+
+use cortex_m::peripheral::SCB;
+use cortex_m_semihosting::debug::{self, EXIT_FAILURE};
+
+use crate::{board, stack};
+
+// After an overflow the stack pointer is outside of RAM, and nothing may be pushed before it is
+// set anew: hence no Rust function, which might begin with a push.
+global_asm!(
+    ".syntax unified",
+    ".section .HardFault.own, \"ax\"",
+    ".global HardFault",
+    ".type HardFault, %function",
+    ".thumb_func",
+    "HardFault:",
+    "mrs r0, msp",
+    "ldr r1, =_stack_start",
+    "msr msp, r1",
+    "bl {report}",
+    ".pool",
+    report = sym report,
+);
+
+/// `pointer` is where the stack stood.
+extern "C" fn report(pointer: u32) -> ! {
+    if stack::is_overflow(pointer) {
+        defmt::error!("stack overflow: the stack pointer was {=u32:#x}", pointer);
+    } else {
+        defmt::error!("hard fault");
+    }
+    loop {
+        if board::is_emulated() {
+            debug::exit(EXIT_FAILURE);
+        } else {
+            SCB::sys_reset();
+        }
+    }
+}
