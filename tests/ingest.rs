@@ -7,6 +7,7 @@ use eecvs_nostd::event_link::{BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Se
 use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Poll, Work};
+use eecvs_nostd::link_source::Link;
 use eecvs_nostd::transform::Impulse;
 use eecvs_nostd::{
     Config, Encoder, Event, Frame, Polarity, Push, Quantiser, Scratch, Sensor, Thresholds, Window,
@@ -100,6 +101,7 @@ impl Exchange<'static> for Side {
 }
 
 struct Machine {
+    link: Link,
     ingest: Ingest<'static>,
     side: Side,
     encoder: Option<WindowEncoder<'static>>,
@@ -115,6 +117,7 @@ fn leak<T: Clone>(value: T, len: usize) -> &'static mut [T] {
 impl Machine {
     fn new() -> Self {
         Self {
+            link: Link::new(),
             ingest: Ingest::new(),
             side: Side::default(),
             encoder: None,
@@ -166,10 +169,10 @@ impl Machine {
         loop {
             let mut budget = chunk;
             let poll = self.ingest.poll(
-                || {
+                &mut self.link.source(|| {
                     budget = budget.checked_sub(1)?;
                     bytes.next()
-                },
+                }),
                 &mut self.side,
             );
             polls += 1;
@@ -182,7 +185,8 @@ impl Machine {
         }
         while !self.side.work.is_empty() {
             self.work();
-            self.ingest.poll(|| None, &mut self.side);
+            self.ingest
+                .poll(&mut self.link.source(|| None), &mut self.side);
         }
     }
 }

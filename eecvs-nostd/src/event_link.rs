@@ -321,6 +321,15 @@ impl Receiver {
         })
     }
 
+    /// The little-endian word at offset `at` of that packet's body.
+    #[inline]
+    #[must_use]
+    pub fn word(&self, at: usize) -> Option<u32> {
+        let end = self.taken.checked_sub(CRC_BYTES)?;
+        let bytes = self.buffer.get(HEAD_BYTES + at..end)?;
+        Some(u32::from_le_bytes(*bytes.first_chunk()?))
+    }
+
     /// Gives up the packet that was returned last.
     fn release(&mut self) {
         if self.taken > 0 {
@@ -367,8 +376,7 @@ enum Look {
 }
 
 fn look(bytes: &[u8]) -> Look {
-    let sync = bytes.len().min(SYNC.len());
-    if bytes[..sync] != SYNC[..sync] {
+    if bytes.iter().zip(SYNC).any(|(byte, sync)| *byte != sync) {
         return Look::Damage;
     }
     let Some(head) = bytes.first_chunk::<HEAD_BYTES>() else {

@@ -32,6 +32,13 @@ pub enum Word {
     Other,
 }
 
+/// Whether a word is an event.
+#[inline]
+#[must_use]
+pub const fn is_event(word: u32) -> bool {
+    word >> 28 <= CD_ON
+}
+
 /// Decodes words; carries the time between them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

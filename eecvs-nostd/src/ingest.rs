@@ -1,13 +1,34 @@
-//! From received bytes to closed windows, two windows taking turns: one is filled while the other
+//! From an event source to closed windows, two windows taking turns: one is filled while the other
 //! is encoded.
 //!
-//! Runs in an interrupt: every step is short, and when no window is free it stops in the middle of
-//! a packet and goes on there later.
+//! Runs in an interrupt: every step is short, and when no window is free it stops and goes on
+//! there later.
 
 use crate::event::Event;
-use crate::event_link::{Kind, Packet, Receiver, Setup};
+use crate::event_link::Setup;
 use crate::evt2::{Evt2Decoder, Word};
 use crate::window::{Push, Window};
+
+/// What an event source brings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Input {
+    /// An EVT 2.0 word.
+    Word(u32),
+    /// This many events, and perhaps a time, were lost here.
+    Lost(u32),
+    /// The stream has ended: close the open window and send it.
+    Flush,
+    /// Start anew.
+    Setup(Setup),
+}
+
+/// Where EVT 2.0 words come from: a link ([`crate::link_source`]), or a sensor on a port of the
+/// microcontroller.
+pub trait EventSource {
+    /// What comes next, `None` where nothing has come.
+    fn next(&mut self) -> Option<Input>;
+}
 
 /// What the encoding side gets to do, in order.
 #[derive(Debug)]
@@ -38,34 +59,32 @@ pub trait Exchange<'b> {
 pub struct Counts {
     /// Events decoded.
     pub events: u32,
-    /// Events of damaged packets, by the positions of the packets around them.
+    /// Events that the source lost.
     pub lost: u32,
     /// Events that found no free window, or no encoder set up.
     pub dropped: u32,
-    /// Words that were neither events nor times, events without a time (before the first, or after
-    /// a loss), bytes left over in a packet, and packets that came twice.
+    /// Words that were neither events nor times, and events without a time: before the first, or
+    /// after a loss.
     pub ignored: u32,
-    /// Bytes that belonged to no packet.
-    pub damaged_bytes: u32,
 }
 
 /// Why [`Ingest::poll`] came back.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Poll {
-    /// All bytes are used up.
+    /// The source has nothing more.
     Idle,
     /// It cannot go on before the encoding side has done something.
     Stalled,
 }
 
-/// What is still to be done with the packet in the receiver.
+/// What is to be done next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Step {
-    /// Nothing: more bytes are needed.
-    Bytes,
-    /// Words, from this offset of the body on.
-    Words { at: usize, end: usize },
+    /// Take what the source brings.
+    Input,
+    /// Put an event into a window.
+    Event(Event),
     /// Hand over the open window, for a flush.
     Flush,
     /// Tell that the flush is done.
@@ -81,14 +100,11 @@ enum Step {
 /// The receiving side.
 #[derive(Debug)]
 pub struct Ingest<'b> {
-    receiver: Receiver,
     decoder: Evt2Decoder,
     step: Step,
     open: Option<Window<'b>>,
     /// Start of the next window, where its grid continues that of the one before.
     next_start_us: Option<u64>,
-    /// Position that the next packet of words should have.
-    position: u32,
     /// Windows in existence; none before a setup.
     windows: usize,
     drops_when_full: bool,
@@ -100,16 +116,14 @@ pub struct Ingest<'b> {
 }
 
 impl<'b> Ingest<'b> {
-    /// Before the first byte and without a setup.
+    /// Before the first word and without a setup.
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            receiver: Receiver::new(),
             decoder: Evt2Decoder::new(0),
-            step: Step::Bytes,
+            step: Step::Input,
             open: None,
             next_start_us: None,
-            position: 0,
             windows: 0,
             drops_when_full: false,
             missed: 0,
@@ -119,17 +133,7 @@ impl<'b> Ingest<'b> {
                 lost: 0,
                 dropped: 0,
                 ignored: 0,
-                damaged_bytes: 0,
             },
-        }
-    }
-
-    /// What was received so far.
-    #[must_use]
-    pub const fn counts(&self) -> Counts {
-        Counts {
-            damaged_bytes: self.receiver.damaged_bytes(),
-            ..self.counts
         }
     }
 
@@ -145,42 +149,31 @@ impl<'b> Ingest<'b> {
         self.decoder = Evt2Decoder::new(setup.time_base_us);
         self.drops_when_full = setup.when_full == Setup::DROP;
         self.windows = windows;
-        self.position = 0;
         self.missed = 0;
         self.lost_time = false;
         self.next_start_us = None;
-        self.step = Step::Bytes;
+        self.step = Step::Input;
     }
 
-    /// Takes bytes until there are none or it has to wait.
+    /// Takes what the source brings until there is nothing or it has to wait.
     pub fn poll(
         &mut self,
-        mut next_byte: impl FnMut() -> Option<u8>,
+        source: &mut impl EventSource,
         exchange: &mut impl Exchange<'b>,
     ) -> Poll {
         loop {
             let went_on = match self.step {
-                Step::Bytes => {
-                    if let Some(packet) = self.receiver.next_packet() {
-                        let (kind, position, len) =
-                            (packet.kind, packet.position, packet.body.len());
-                        let setup = match kind {
-                            Kind::Setup => Setup::parse(packet.body),
-                            _ => None,
-                        };
-                        self.step = self.begin(kind, position, len, setup);
-                    } else if let Some(byte) = next_byte() {
-                        self.receiver.put(byte);
-                    } else {
-                        return Poll::Idle;
+                Step::Input => match source.next() {
+                    None => return Poll::Idle,
+                    Some(input) => {
+                        self.take(input);
+                        true
                     }
-                    true
-                }
-                Step::Words { at, end } => self.words(at, end, exchange),
+                },
+                Step::Event(event) => self.event(event, exchange) && self.go_to(Step::Input),
                 Step::Flush => self.close(exchange) && self.go_to(Step::FlushDone),
                 Step::FlushDone => {
-                    let work = Work::Flush(self.counts());
-                    exchange.hand_over(work).is_ok() && self.go_to(Step::Bytes)
+                    exchange.hand_over(Work::Flush(self.counts)).is_ok() && self.go_to(Step::Input)
                 }
                 Step::SetupFlush(setup) => {
                     self.close(exchange) && self.go_to(Step::SetupWindows(setup))
@@ -199,87 +192,41 @@ impl<'b> Ingest<'b> {
         true
     }
 
-    fn begin(&mut self, kind: Kind, position: u32, len: usize, setup: Option<Setup>) -> Step {
-        if matches!(kind, Kind::Words | Kind::Flush) && self.windows > 0 {
-            let ahead = position.wrapping_sub(self.position);
-            if ahead >= 1 << 31 {
-                // Its events were counted, or taken, before.
-                self.ignore(1);
-                return Step::Bytes;
-            }
-            if ahead > 0 {
-                self.counts.lost = self.counts.lost.wrapping_add(ahead);
-                self.miss(ahead);
+    fn take(&mut self, input: Input) {
+        match input {
+            Input::Word(word) => match self.decoder.decode(word) {
+                Word::Event(event) if !self.lost_time => self.step = Step::Event(event),
+                Word::Time => self.lost_time = false,
+                Word::Event(_) | Word::Untimed => {
+                    self.ignore();
+                    self.miss(1);
+                }
+                Word::Other => self.ignore(),
+            },
+            Input::Lost(events) => {
+                if self.windows > 0 {
+                    self.counts.lost = self.counts.lost.wrapping_add(events);
+                }
+                self.miss(events);
                 self.lost_time = true;
             }
-            self.position = position;
-        }
-        match kind {
-            Kind::Words => {
-                self.ignore(len as u32 % 4);
-                Step::Words {
-                    at: 0,
-                    end: len - len % 4,
-                }
-            }
-            Kind::Flush if self.windows > 0 => Step::Flush,
-            Kind::Flush => Step::FlushDone,
-            Kind::Setup => match setup {
-                Some(setup) => Step::SetupFlush(setup),
-                None => {
-                    self.ignore(1);
-                    Step::Bytes
-                }
-            },
-            Kind::Status => {
-                self.ignore(1);
-                Step::Bytes
-            }
+            Input::Flush => self.step = Step::Flush,
+            Input::Setup(setup) => self.step = Step::SetupFlush(setup),
         }
     }
 
-    const fn ignore(&mut self, count: u32) {
-        self.counts.ignored = self.counts.ignored.wrapping_add(count);
+    const fn ignore(&mut self) {
+        self.counts.ignored = self.counts.ignored.wrapping_add(1);
     }
 
-    /// Counts events that no window will hold, in the open window or the next one.
+    /// Counts events that no window will hold, in the open window or the next one. Without a setup
+    /// there is no window to count in.
     const fn miss(&mut self, events: u32) {
         match &mut self.open {
             Some(window) if window.closed().is_none() => window.count_dropped(events),
-            _ => self.missed = self.missed.saturating_add(events),
+            _ if self.windows > 0 => self.missed = self.missed.saturating_add(events),
+            _ => {}
         }
-    }
-
-    fn words(&mut self, mut at: usize, end: usize, exchange: &mut impl Exchange<'b>) -> bool {
-        while at < end {
-            let word = match self.receiver.packet() {
-                Some(Packet { body, .. }) => match body.get(at..at + 4) {
-                    Some(bytes) => u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]),
-                    None => break,
-                },
-                None => break,
-            };
-            match self.decoder.decode(word) {
-                Word::Event(event) if !self.lost_time => {
-                    if !self.event(event, exchange) {
-                        // The same word again, once a window is free: an event's word leaves the
-                        // decoder as it was.
-                        self.step = Step::Words { at, end };
-                        return false;
-                    }
-                    self.position = self.position.wrapping_add(1);
-                }
-                Word::Time => self.lost_time = false,
-                Word::Event(_) | Word::Untimed => {
-                    self.position = self.position.wrapping_add(1);
-                    self.ignore(1);
-                    self.miss(u32::from(self.windows > 0));
-                }
-                Word::Other => self.ignore(1),
-            }
-            at += 4;
-        }
-        self.go_to(Step::Bytes)
     }
 
     /// Puts an event into a window, or counts it; `false` asks to wait.
@@ -295,7 +242,7 @@ impl<'b> Ingest<'b> {
             }
             if self.windows == 0 || self.drops_when_full {
                 self.counts.dropped = self.counts.dropped.wrapping_add(1);
-                self.miss(u32::from(self.windows > 0));
+                self.miss(1);
                 break;
             }
             return false;
@@ -358,7 +305,7 @@ impl<'b> Ingest<'b> {
             }
             self.windows -= 1;
         }
-        let work = Work::Setup(setup, self.counts());
+        let work = Work::Setup(setup, self.counts);
         exchange.hand_over(work).is_ok() && self.go_to(Step::SettingUp)
     }
 }

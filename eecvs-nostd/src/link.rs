@@ -40,13 +40,16 @@ pub fn scan(bytes: &[u8]) -> Scan<'_> {
 
 /// Distance to the next place, not the first, where `sync` or its beginning stands.
 pub(crate) fn next_sync(bytes: &[u8], sync: [u8; 2]) -> usize {
-    (1..bytes.len())
-        .find(|start| {
-            let rest = &bytes[*start..];
-            let len = rest.len().min(sync.len());
-            rest[..len] == sync[..len]
-        })
-        .unwrap_or(bytes.len())
+    let mut skip = 1;
+    loop {
+        let Some(rest) = bytes.get(skip..).filter(|rest| !rest.is_empty()) else {
+            return bytes.len();
+        };
+        if rest.iter().zip(sync).all(|(byte, sync)| *byte == sync) {
+            return skip;
+        }
+        skip += 1;
+    }
 }
 
 /// Where a frame stands relative to those before it.

@@ -11,7 +11,7 @@ use eecvs_nostd::{
 
 use crate::board::{self, Sender};
 use crate::clock::{Stopwatch, interrupt_ticks, nanoseconds};
-use crate::receiving::Receiver;
+use crate::receiving::{self, Receiver};
 use crate::stack;
 
 /// Windows in turn.
@@ -189,8 +189,8 @@ impl Encoding {
             events: counts.events,
             lost: counts.lost,
             dropped: counts.dropped,
-            ignored: counts.ignored,
-            damaged_bytes: counts.damaged_bytes,
+            ignored: counts.ignored.wrapping_add(receiving::ignored()),
+            damaged_bytes: receiving::damaged_bytes(),
             overruns: board::overruns(),
             windows: self.windows,
             frames: self.frames,
@@ -201,17 +201,19 @@ impl Encoding {
         };
         let mut body = [0; 96];
         let mut packet = [0; 128];
-        let Ok(len) = status.write(&mut body) else {
-            return;
-        };
-        let written = Packet {
-            kind: Kind::Status,
-            position: counts.events,
-            body: &body[..len],
-        }
-        .write(&mut packet);
-        if let Ok(len) = written {
-            self.sender.send(&packet[..len]);
+        let body = status.write(&mut body).ok().and_then(|len| body.get(..len));
+        let packet = body.and_then(|body| {
+            let status = Packet {
+                kind: Kind::Status,
+                position: counts.events,
+                body,
+            };
+            let len = status.write(&mut packet).ok()?;
+            packet.get(..len)
+        });
+        // There is room for the longest status.
+        if let Some(packet) = packet {
+            self.sender.send(packet);
         }
     }
 }

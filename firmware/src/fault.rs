@@ -32,6 +32,11 @@ extern "C" fn report(pointer: u32) -> ! {
     } else {
         defmt::error!("hard fault");
     }
+    stop()
+}
+
+/// Starts the board anew; ends the emulator with an error.
+pub fn stop() -> ! {
     loop {
         if board::is_emulated() {
             debug::exit(EXIT_FAILURE);

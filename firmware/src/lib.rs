@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `board/` | set-up of a machine: clocks, pins, the UART of the link |
 //! | `receiving.rs` | the interrupts' side: bytes to windows |
+//! | `sensor.rs` | the place to plug in a sensor |
 //! | `encoding.rs` | `main`'s side: windows to frames |
 //! | `clock.rs` | time, and what interrupts took of it |
 //! | `log.rs` | defmt over RTT on a board, over semihosting in QEMU |
@@ -26,4 +27,6 @@ pub mod fault;
 pub mod log;
 #[cfg(not(feature = "microbit"))]
 pub mod receiving;
+#[cfg(feature = "sensor")]
+pub mod sensor;
 pub mod stack;

@@ -1,6 +1,7 @@
 //! Bytes from the link to windows: the interrupts' side.
 
 use core::cell::RefCell;
+use core::sync::atomic::{AtomicU32, Ordering};
 
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
@@ -9,12 +10,19 @@ use critical_section::Mutex;
 use eecvs_nostd::Window;
 use eecvs_nostd::event_link::Setup;
 use eecvs_nostd::ingest::{Exchange, Ingest, Work};
+#[cfg(not(feature = "sensor"))]
+use eecvs_nostd::link_source::Link;
+#[cfg(feature = "sensor")]
+use eecvs_nostd::sensor_source::SensorSource;
 use heapless::spsc::{Consumer, Producer, Queue};
 
 use crate::board;
 use crate::clock::Stopwatch;
+#[cfg(feature = "sensor")]
+use crate::sensor;
 
 /// Bytes between the UART's interrupt and PendSV: two of the longest packets.
+#[cfg(not(feature = "sensor"))]
 const RING_BYTES: usize = 1024;
 /// The lowest priority there is.
 const LOWEST: u8 = 0xff;
@@ -24,9 +32,36 @@ pub type Bytes = Producer<'static, u8>;
 
 /// PendSV's ends of the queues.
 pub struct Receiving {
-    bytes: Consumer<'static, u8>,
+    source: Source,
     ingest: Ingest<'static>,
     queues: Queues,
+}
+
+/// Where events come from.
+struct Source {
+    #[cfg(not(feature = "sensor"))]
+    bytes: Consumer<'static, u8>,
+    #[cfg(not(feature = "sensor"))]
+    link: Link,
+    #[cfg(feature = "sensor")]
+    sensor: SensorSource<'static>,
+}
+
+impl Source {
+    #[cfg(feature = "sensor")]
+    fn poll(&mut self, ingest: &mut Ingest<'static>, queues: &mut Queues) {
+        ingest.poll(&mut self.sensor, queues);
+    }
+
+    #[cfg(not(feature = "sensor"))]
+    fn poll(&mut self, ingest: &mut Ingest<'static>, queues: &mut Queues) {
+        ingest.poll(&mut self.link.source(|| self.bytes.dequeue()), queues);
+        DAMAGED_BYTES.store(self.link.damaged_bytes(), Ordering::Relaxed);
+        IGNORED.store(self.link.ignored(), Ordering::Relaxed);
+        if self.bytes.len() < RING_BYTES / 2 {
+            board::resume_receiving();
+        }
+    }
 }
 
 struct Queues {
@@ -88,29 +123,60 @@ impl Receiver {
 static BYTES: Mutex<RefCell<Option<Bytes>>> = Mutex::new(RefCell::new(None));
 static RECEIVING: Mutex<RefCell<Option<Receiving>>> = Mutex::new(RefCell::new(None));
 
+/// What [`Link`] counts, for the status.
+static DAMAGED_BYTES: AtomicU32 = AtomicU32::new(0);
+static IGNORED: AtomicU32 = AtomicU32::new(0);
+
+/// Bytes of the link that belonged to no packet.
+pub fn damaged_bytes() -> u32 {
+    DAMAGED_BYTES.load(Ordering::Relaxed)
+}
+
+/// Packets that came twice or made no sense, and left-over bytes.
+pub fn ignored() -> u32 {
+    IGNORED.load(Ordering::Relaxed)
+}
+
 /// Sets the queues up and starts the interrupts. `None` when called again.
 pub fn start(core: &mut Peripherals) -> Option<Receiver> {
-    let (into_ring, ring) = cortex_m::singleton!(: Queue<u8, RING_BYTES> = Queue::new())?.split();
+    #[cfg(feature = "sensor")]
+    let source = Source {
+        sensor: sensor::start()?,
+    };
+    #[cfg(not(feature = "sensor"))]
+    let source = {
+        let (into_ring, bytes) =
+            cortex_m::singleton!(: Queue<u8, RING_BYTES> = Queue::new())?.split();
+        critical_section::with(|token| BYTES.borrow(token).replace(Some(into_ring)));
+        Source {
+            bytes,
+            link: Link::new(),
+        }
+    };
     let (give_free, free) =
         cortex_m::singleton!(: Queue<Window<'static>, 4> = Queue::new())?.split();
     let (hand_over, work) = cortex_m::singleton!(: Queue<Work<'static>, 5> = Queue::new())?.split();
     let (tell, set_up) = cortex_m::singleton!(: Queue<(Setup, usize), 2> = Queue::new())?.split();
     critical_section::with(|token| {
-        BYTES.borrow_ref_mut(token).replace(into_ring);
-        RECEIVING.borrow_ref_mut(token).replace(Receiving {
-            bytes: ring,
+        RECEIVING.borrow(token).replace(Some(Receiving {
+            source,
             ingest: Ingest::new(),
             queues: Queues {
                 free,
                 work: hand_over,
                 set_up,
             },
-        });
+        }))
     });
     // SAFETY: nothing here relies on priorities for exclusion: every queue has one user at each
     // end.
     unsafe { core.SCB.set_priority(SystemHandler::PendSV, LOWEST) };
-    board::start_receiving(&mut core.NVIC);
+    if cfg!(feature = "sensor") {
+        // The setup is there already.
+        SCB::set_pendsv();
+    } else {
+        board::resume_receiving();
+    }
     Some(Receiver {
         free: give_free,
         work,
@@ -124,7 +190,7 @@ pub fn start(core: &mut Peripherals) -> Option<Receiver> {
 pub fn on_receive(bytes: &mut Option<Bytes>) {
     let stopwatch = Stopwatch::start();
     if bytes.is_none() {
-        *bytes = critical_section::with(|token| BYTES.borrow_ref_mut(token).take());
+        *bytes = critical_section::with(|token| BYTES.borrow(token).take());
     }
     if let Some(bytes) = bytes {
         // A full ring leaves bytes in the UART, whose flow control then holds the sender.
@@ -146,10 +212,10 @@ pub fn on_receive(bytes: &mut Option<Bytes>) {
 pub fn on_pend(receiving: &mut Option<Receiving>) {
     let stopwatch = Stopwatch::start();
     if receiving.is_none() {
-        *receiving = critical_section::with(|token| RECEIVING.borrow_ref_mut(token).take());
+        *receiving = critical_section::with(|token| RECEIVING.borrow(token).take());
     }
     if let Some(Receiving {
-        bytes,
+        source,
         ingest,
         queues,
     }) = receiving
@@ -159,10 +225,7 @@ pub fn on_pend(receiving: &mut Option<Receiving>) {
         {
             ingest.set_up(&setup, windows);
         }
-        ingest.poll(|| bytes.dequeue(), queues);
-        if bytes.len() < RING_BYTES / 2 {
-            board::resume_receiving();
-        }
+        source.poll(ingest, queues);
     }
     stopwatch.stop_interrupt();
 }

@@ -13,7 +13,7 @@
 use cortex_m_rt::{entry, exception};
 use eecvs_firmware::encoding::Encoding;
 use eecvs_firmware::receiving::{self, Receiving};
-use eecvs_firmware::{board, clock};
+use eecvs_firmware::{board, clock, fault};
 
 #[entry]
 fn main() -> ! {
@@ -24,7 +24,7 @@ fn main() -> ! {
     });
     let Some(mut encoding) = encoding else {
         // Every part of the above is there once, and this runs once.
-        defmt::panic!("started twice");
+        fault::stop();
     };
     defmt::info!("ready on {=str}", board::NAME);
     encoding.greet();

@@ -71,11 +71,6 @@ pub fn set_up(_: &mut Peripherals) -> Option<Sender> {
     Some(Sender(()))
 }
 
-/// Lets the receive interrupt run.
-pub fn start_receiving(_: &mut NVIC) {
-    resume_receiving();
-}
-
 impl Sender {
     /// Sends all bytes; returns when the UART has taken the last.
     pub fn send(&mut self, bytes: &[u8]) {

@@ -112,11 +112,6 @@ fn start_clock(device: &Peripherals) {
     while !rcc.cfgr().read().sws().is_pll() {}
 }
 
-/// Lets the receive interrupt run.
-pub fn start_receiving(_: &mut NVIC) {
-    resume_receiving();
-}
-
 impl Sender {
     /// Sends all bytes; returns when the UART has taken the last.
     pub fn send(&mut self, bytes: &[u8]) {

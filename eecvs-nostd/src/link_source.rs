@@ -1,0 +1,153 @@
+//! The event link as an [`EventSource`]: received bytes to words, losses told by the packets'
+//! positions.
+
+use crate::event_link::{Kind, Packet, Receiver, Setup};
+use crate::evt2::is_event;
+use crate::ingest::{EventSource, Input};
+
+/// What is to be done with the receiver.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Step {
+    /// Find the next packet.
+    Bytes,
+    /// Begin the packet that was found.
+    Packet,
+    /// Take its words, from this offset of its body on.
+    Words(usize),
+}
+
+/// The link between two bytes.
+#[derive(Debug)]
+pub struct Link {
+    receiver: Receiver,
+    step: Step,
+    /// Position that the next packet should have.
+    position: u32,
+    ignored: u32,
+}
+
+impl Link {
+    /// Before the first byte.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            receiver: Receiver::new(),
+            step: Step::Bytes,
+            position: 0,
+            ignored: 0,
+        }
+    }
+
+    /// Bytes that belonged to no packet; wraps.
+    #[must_use]
+    pub const fn damaged_bytes(&self) -> u32 {
+        self.receiver.damaged_bytes()
+    }
+
+    /// Packets that came twice or made no sense, and bytes left over in packets of words; wraps.
+    #[must_use]
+    pub const fn ignored(&self) -> u32 {
+        self.ignored
+    }
+
+    /// The source that takes its bytes from `next_byte`.
+    pub const fn source<F: FnMut() -> Option<u8>>(&mut self, next_byte: F) -> LinkSource<'_, F> {
+        LinkSource {
+            link: self,
+            next_byte,
+        }
+    }
+
+    const fn ignore(&mut self, count: usize) {
+        self.ignored = self.ignored.wrapping_add(count as u32);
+    }
+
+    fn word(&mut self, at: usize) -> Option<Input> {
+        let Some(word) = self.receiver.word(at) else {
+            self.step = Step::Bytes;
+            return None;
+        };
+        self.step = Step::Words(at + 4);
+        self.position = self.position.wrapping_add(u32::from(is_event(word)));
+        Some(Input::Word(word))
+    }
+
+    /// The packet is in the receiver until the next one is asked for.
+    fn begin(&mut self) -> Option<Input> {
+        self.step = Step::Bytes;
+        let Packet {
+            kind,
+            position,
+            body,
+        } = self.receiver.packet()?;
+        let left_over = body.len() % 4;
+        match kind {
+            Kind::Setup => {
+                if let Some(setup) = Setup::parse(body) {
+                    self.position = 0;
+                    return Some(Input::Setup(setup));
+                }
+                self.ignore(1);
+                return None;
+            }
+            Kind::Status => {
+                self.ignore(1);
+                return None;
+            }
+            Kind::Words | Kind::Flush => {}
+        }
+        let ahead = position.wrapping_sub(self.position);
+        if ahead >= 1 << 31 {
+            // It came twice: its events were taken, or counted as lost, before.
+            self.ignore(1);
+            None
+        } else if ahead > 0 {
+            self.position = position;
+            self.step = Step::Packet;
+            Some(Input::Lost(ahead))
+        } else if kind == Kind::Flush {
+            Some(Input::Flush)
+        } else {
+            self.ignore(left_over);
+            self.step = Step::Words(0);
+            None
+        }
+    }
+}
+
+impl Default for Link {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A [`Link`] and where its bytes come from.
+#[derive(Debug)]
+pub struct LinkSource<'l, F> {
+    link: &'l mut Link,
+    next_byte: F,
+}
+
+impl<F: FnMut() -> Option<u8>> EventSource for LinkSource<'_, F> {
+    #[inline]
+    fn next(&mut self) -> Option<Input> {
+        let link = &mut *self.link;
+        loop {
+            let input = match link.step {
+                Step::Words(at) => link.word(at),
+                Step::Packet => link.begin(),
+                Step::Bytes => {
+                    if link.receiver.next_packet().is_some() {
+                        link.step = Step::Packet;
+                    } else {
+                        link.receiver.put((self.next_byte)()?);
+                    }
+                    None
+                }
+            };
+            if input.is_some() {
+                return input;
+            }
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! The place to plug in a sensor, here a Prophesee GENX320 whose 8-bit parallel port sends EVT 2.0
+//! words. Feature `sensor` builds the image with it in the link's place: events come from the
+//! port, frames leave on the UART.
+//!
+//! What is here is everything but the transfer itself, which depends on the board. On a chip with
+//! a camera interface (DCMI), let its DMA fill two halves of a buffer of words in turn; on the
+//! STM32F405, which has none, let the port's clock trigger a timer's capture channel and that a DMA
+//! stream from the GPIO's input register, one byte a clock. Either way the DMA's half-complete
+//! and complete interrupts have a half of the buffer that nobody writes to, and do
+//!
+//! ```ignore
+//! #[interrupt]
+//! fn DMA2_STREAM1() {
+//!     static mut PORT: Option<Port<'static>> = None;
+//!     sensor::on_transfer(PORT, |port| port.take(half));
+//! }
+//! ```
+//!
+//! with the interrupt's priority above PendSV's, which is the lowest. A word is the four bytes in
+//! the order in which they came (little-endian). A transfer that overran calls
+//! [`Port::count_lost`] with the events of a half, at the most: its frames then say so.
+
+use core::cell::RefCell;
+
+use cortex_m::peripheral::SCB;
+use critical_section::Mutex;
+use eecvs_nostd::event_link::Setup;
+use eecvs_nostd::sensor_source::{Port, SensorSource};
+use heapless::spsc::Queue;
+
+use crate::clock::Stopwatch;
+
+/// Words between the transfer's interrupt and PendSV.
+const QUEUE_WORDS: usize = 512;
+
+/// 320 x 320 pixels, windows of 32,768 us, M = 16, the DCT for every window: calibrated thresholds
+/// go here. A sensor cannot be held, so what finds no free window is dropped and counted.
+pub const SETUP: Setup = Setup {
+    width: 320,
+    height: 320,
+    window_us: 32_768,
+    tau_low_pico: 0,
+    tau_high_pico: 0,
+    transform: 0,
+    m: 16,
+    grid: 0,
+    step_log2: -6,
+    time_base_us: 0,
+    when_full: Setup::DROP,
+};
+
+/// The port on its way to the interrupt that uses it.
+static PORT: Mutex<RefCell<Option<Port<'static>>>> = Mutex::new(RefCell::new(None));
+
+/// Both ends of the queue: one for PendSV; the other waits for the transfer's interrupt.
+pub fn start() -> Option<SensorSource<'static>> {
+    let (producer, consumer) =
+        cortex_m::singleton!(: Queue<u32, QUEUE_WORDS> = Queue::new())?.split();
+    critical_section::with(|token| PORT.borrow(token).replace(Some(Port::new(producer))));
+    Some(SensorSource::new(consumer, SETUP))
+}
+
+/// The transfer's interrupt: hands `port`, its own, to `take`; the first call fetches it.
+pub fn on_transfer(port: &mut Option<Port<'static>>, take: impl FnOnce(&mut Port<'static>)) {
+    let stopwatch = Stopwatch::start();
+    if port.is_none() {
+        *port = critical_section::with(|token| PORT.borrow(token).take());
+    }
+    if let Some(port) = port {
+        take(port);
+    }
+    SCB::set_pendsv();
+    stopwatch.stop_interrupt();
+}
