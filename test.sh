@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
 # Every check of the project, headless. `./test.sh` runs all of them, `./test.sh STAGE...` some:
 #
-#   lint   formatting, clippy, documentation
-#   unit   unit, property, golden, format, end-to-end tests; shared recordings where present
-#   nostd  the core without std
-#   fuzz   every fuzz target for FUZZ_SECONDS (default 5)
-#   demo   the first command of the README
+#   lint      formatting, clippy, documentation
+#   unit      unit, property, golden, format, end-to-end tests; shared recordings where present
+#   nostd     the core without std
+#   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
+#   fuzz      every fuzz target for FUZZ_SECONDS (default 5)
+#   demo      the first command of the README
 #
 # What is missing is installed where that is possible; where it is not, the stage says so.
 set -euo pipefail
@@ -29,6 +30,7 @@ lint() {
     if component fmt rustfmt; then
         cargo fmt --all --check
         cargo fmt --all --check --manifest-path fuzz/Cargo.toml
+        cargo fmt --all --check --manifest-path firmware/Cargo.toml
     fi
     if component clippy clippy; then
         cargo clippy --workspace --all-targets -- -D warnings
@@ -44,20 +46,61 @@ unit() {
     cargo test --release -p eecvs-tests --test golden --test wire_format
 }
 
+# A target's core library, installed if rustup may.
+target() {
+    [ -d "$(rustc --print target-libdir --target "$1")" ] && return
+    echo "installing the target $1"
+    have rustup && rustup target add "$1" >/dev/null 2>&1
+}
+
 nostd() {
     local target
     # A Cortex-M4F, and a core without atomics, FPU and DSP instructions.
     for target in thumbv7em-none-eabihf thumbv6m-none-eabi; do
-        if [ ! -d "$(rustc --print target-libdir --target "$target")" ]; then
-            echo "installing the target $target"
-            if ! { have rustup && rustup target add "$target" >/dev/null 2>&1; }; then
-                skip "nostd: rustup cannot add the target $target"
-                continue
-            fi
+        if ! target "$target"; then
+            skip "nostd: rustup cannot add the target $target"
+            continue
         fi
         cargo check -p eecvs-nostd --target "$target"
         cargo check -p eecvs-nostd --target "$target" --features defmt
     done
+}
+
+# Runs an image of a machine: `qemu MACHINE BINARY`. Its exit status is the image's.
+qemu() {
+    timeout 120 qemu-system-arm -M "$1" -display none -monitor none -serial null -icount shift=0 \
+        -semihosting-config enable=on,target=native \
+        -kernel "$(firmware/build.sh "$1" "$2")/$2" </dev/null
+}
+
+firmware() {
+    local machine status
+    if ! have qemu-system-arm; then
+        echo "installing qemu-system-arm"
+        if ! { have apt-get && apt-get install -y -qq qemu-system-arm >/dev/null 2>&1; }; then
+            skip "firmware: there is no qemu-system-arm and apt-get cannot install it"
+            return
+        fi
+    fi
+    if ! firmware/build.sh netduinoplus2; then
+        skip "firmware: no core library for the target"
+        return
+    fi
+    if target thumbv7em-none-eabihf && component clippy clippy; then
+        for machine in stm32f405 stm32f405,sensor mps2; do
+            cargo clippy --manifest-path firmware/Cargo.toml --release --locked --features "$machine" \
+                --target thumbv7em-none-eabihf --target-dir firmware/target/clippy -- -D warnings
+        done
+    fi
+    cargo test -p eecvs-tests --test firmware_image -- --nocapture
+    for machine in netduinoplus2 mps2-an386 mps2-an500 microbit; do
+        echo "golden vectors on $machine"
+        qemu "$machine" golden
+    done
+    # Its only good end is the report of a fault.
+    status=0
+    qemu netduinoplus2 overflow >/dev/null || status=$?
+    [ "$status" = 1 ] || { echo "a stack overflow ended with status $status"; return 1; }
 }
 
 fuzz() {
@@ -90,10 +133,10 @@ if [ "${1:-}" = --stage ]; then
 fi
 
 stages=("$@")
-[ ${#stages[@]} -gt 0 ] || stages=(lint unit nostd fuzz demo)
+[ ${#stages[@]} -gt 0 ] || stages=(lint unit nostd firmware fuzz demo)
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | nostd | fuzz | demo) ;;
+        lint | unit | nostd | firmware | fuzz | demo) ;;
         *) echo "test.sh: no stage '$stage'; see the head of this file" >&2; exit 2 ;;
     esac
 done

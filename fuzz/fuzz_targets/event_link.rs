@@ -25,7 +25,7 @@ fuzz_target!(|data: &[u8]| {
                     decoder.decode(u32::from_le_bytes([word[0], word[1], word[2], word[3]]));
                 }
             }
-            Kind::Flush => {}
+            Kind::Flush | Kind::Status => {}
         }
     }
     assert!(receiver.damaged_bytes() as usize <= data.len());
