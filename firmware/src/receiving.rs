@@ -17,13 +17,15 @@ use eecvs_nostd::sensor_source::SensorSource;
 use heapless::spsc::{Consumer, Producer, Queue};
 
 use crate::board;
-use crate::clock::Stopwatch;
+use crate::clock::{ShortStopwatch, Stopwatch};
 #[cfg(feature = "sensor")]
 use crate::sensor;
 
 /// Bytes between the UART's interrupt and PendSV: two of the longest packets.
 #[cfg(not(feature = "sensor"))]
 const RING_BYTES: usize = 1024;
+/// Bytes in the ring that PendSV is asked to look at.
+const MANY_BYTES: usize = 128;
 /// The lowest priority there is.
 const LOWEST: u8 = 0xff;
 
@@ -184,11 +186,12 @@ pub fn start(core: &mut Peripherals) -> Option<Receiver> {
     })
 }
 
-/// The UART's interrupt: takes every byte that is there.
+/// The UART's interrupt: takes every byte that is there. PendSV runs when there are many, or with
+/// the timer's next interrupt.
 ///
 /// `bytes` is the interrupt's own; the first call fetches it.
 pub fn on_receive(bytes: &mut Option<Bytes>) {
-    let stopwatch = Stopwatch::start();
+    let stopwatch = ShortStopwatch::start();
     if bytes.is_none() {
         *bytes = critical_section::with(|token| BYTES.borrow(token).take());
     }
@@ -200,11 +203,13 @@ pub fn on_receive(bytes: &mut Option<Bytes>) {
             };
             let _ = bytes.enqueue(byte);
         }
-        if !bytes.ready() {
-            board::hold_receiving();
+        if bytes.len() >= MANY_BYTES {
+            SCB::set_pendsv();
+            if !bytes.ready() {
+                board::hold_receiving();
+            }
         }
     }
-    SCB::set_pendsv();
     stopwatch.stop_interrupt();
 }
 
