@@ -61,8 +61,9 @@ impl Evt2Decoder {
 
     /// Takes the next word.
     ///
-    /// A `TIME_HIGH` that falls by more than half of its range has wrapped; a smaller step back is
-    /// a step back.
+    /// A `TIME_HIGH` that falls by half of its range or more has wrapped; one that rises by the last
+    /// 1/256 of its range belongs to the time before a wrap, since events are not always in order.
+    /// Every other step is taken as it is.
     #[inline]
     pub fn decode(&mut self, word: u32) -> Word {
         match word >> 28 {
@@ -80,18 +81,28 @@ impl Evt2Decoder {
                 })
             }
             TIME_HIGH => {
-                let high = word & HIGH_MASK;
-                let before = self.high.replace(high).unwrap_or(0);
-                let before_us = u64::from(before) << LOW_BITS;
-                let now_us = u64::from(high) << LOW_BITS;
-                self.time_us = self.time_us.wrapping_sub(before_us).wrapping_add(now_us);
-                if before_us > now_us && before_us - now_us > PERIOD_US / 2 {
-                    self.time_us = self.time_us.wrapping_add(PERIOD_US);
-                }
+                self.step_to(word & HIGH_MASK);
                 Word::Time
             }
             _ => Word::Other,
         }
+    }
+
+    /// Takes the bits of a `TIME_HIGH`.
+    fn step_to(&mut self, high: u32) {
+        let now_us = u64::from(high) << LOW_BITS;
+        let before = self.high.replace(high);
+        let before_us = u64::from(before.unwrap_or(0)) << LOW_BITS;
+        // Where the format's time was 0 last.
+        let mut zero_us = self.time_us.wrapping_sub(before_us);
+        if before.is_some() {
+            if before_us >= now_us + PERIOD_US / 2 {
+                zero_us = zero_us.wrapping_add(PERIOD_US);
+            } else if now_us > before_us + (PERIOD_US - PERIOD_US / 256) && zero_us >= PERIOD_US {
+                zero_us -= PERIOD_US;
+            }
+        }
+        self.time_us = zero_us.wrapping_add(now_us);
     }
 }
 
@@ -228,6 +239,46 @@ mod tests {
                 ..at(1000 + 6 * hour)
             }),
             None
+        );
+    }
+
+    #[test]
+    fn steps_back_across_a_wrap_are_followed() {
+        const TOP: u32 = HIGH_MASK;
+        const LAST: u32 = TOP - TOP / 256;
+        let times = |base_us: u64, highs: &[u32]| -> std::vec::Vec<u64> {
+            let mut decoder = Evt2Decoder::new(base_us);
+            let time = |high: &u32| {
+                assert_eq!(decoder.decode(0x8000_0000 | *high), Word::Time);
+                decoder.time_us >> LOW_BITS
+            };
+            highs.iter().map(time).collect()
+        };
+        let top = u64::from(TOP);
+        let period = top + 1;
+        assert_eq!(
+            times(0, &[TOP, 0, TOP, 3, LAST + 4, LAST - 1]),
+            [
+                top,
+                period,
+                top,
+                period + 3,
+                u64::from(LAST) + 4,
+                u64::from(LAST) - 1
+            ]
+        );
+        // Not beyond 0, and a large step forwards stays one.
+        assert_eq!(times(0, &[0, TOP]), [0, top]);
+        assert_eq!(
+            times(PERIOD_US, &[0, LAST - 1]),
+            [period, period + u64::from(LAST) - 1]
+        );
+        assert_eq!(times(PERIOD_US, &[TOP]), [period + top]);
+        // Half of the range is a wrap, less is a step back.
+        let half = TOP / 2 + 1;
+        assert_eq!(
+            times(0, &[half, 0, half + 1, 2]),
+            [period / 2, period, period + period / 2 + 1, period + 2]
         );
     }
 

@@ -40,9 +40,11 @@ pub fn ticks() -> u32 {
         // The timer counts down; its interrupt comes with the 0, which so begins a period.
         let past = SYST::get_current().wrapping_neg() % WRAP_TICKS;
         let pending = SCB::is_pendst_pending();
-        // A wrap between the reads: read again. A wrap that no interrupt has counted yet, because
-        // one of at least its priority runs, is counted here.
-        if pending == pending_before && wraps == WRAPS.load(Ordering::Relaxed) {
+        // A wrap between the reads: read again; so too at 0, where the wrap is pending one tick
+        // before the timer starts over. A wrap that no interrupt has counted yet, because one of
+        // at least its priority runs, is counted here.
+        let is_steady = pending == pending_before && wraps == WRAPS.load(Ordering::Relaxed);
+        if is_steady && past < WRAP_TICKS - 1 {
             let wraps = wraps.wrapping_add(u32::from(pending));
             return wraps.wrapping_mul(WRAP_TICKS).wrapping_add(past);
         }
@@ -101,19 +103,26 @@ impl Stopwatch {
     /// Starts.
     #[must_use]
     pub fn start() -> Self {
-        Self {
-            interrupt_ticks: INTERRUPT_TICKS.load(Ordering::Relaxed),
-            ticks: ticks(),
+        loop {
+            let interrupt_ticks = INTERRUPT_TICKS.load(Ordering::Relaxed);
+            let ticks = ticks();
+            // An interrupt in between would be in one of them only, and a short stretch of code
+            // would seem to take less than nothing.
+            if interrupt_ticks == INTERRUPT_TICKS.load(Ordering::Relaxed) {
+                return Self {
+                    ticks,
+                    interrupt_ticks,
+                };
+            }
         }
     }
 
     /// Ticks since the start, interrupts excluded.
     #[must_use]
     pub fn stop(self) -> u32 {
-        let interrupts = INTERRUPT_TICKS
-            .load(Ordering::Relaxed)
-            .wrapping_sub(self.interrupt_ticks);
-        ticks().wrapping_sub(self.ticks).wrapping_sub(interrupts)
+        let now = Self::start();
+        let interrupts = now.interrupt_ticks.wrapping_sub(self.interrupt_ticks);
+        now.ticks.wrapping_sub(self.ticks).wrapping_sub(interrupts)
     }
 
     /// Ends an interrupt: its own ticks are no one else's. Returns them.

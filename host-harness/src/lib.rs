@@ -9,6 +9,7 @@ pub mod encode;
 pub mod exact_density;
 pub mod formats;
 pub mod frame_file;
+pub mod mcu;
 pub mod metrics;
 pub mod npy;
 pub mod output_file;

@@ -25,6 +25,7 @@ enum Command {
     Inspect(cmd::inspect::Inspect),
     Decode(cmd::decode::Decode),
     Compare(cmd::compare::Compare),
+    Mcu(cmd::mcu::Mcu),
 }
 
 fn main() -> ExitCode {
@@ -40,6 +41,7 @@ fn main() -> ExitCode {
         Command::Inspect(command) => command.run(),
         Command::Decode(command) => command.run(),
         Command::Compare(command) => command.run(),
+        Command::Mcu(command) => command.run(),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

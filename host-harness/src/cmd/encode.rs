@@ -29,6 +29,9 @@ pub struct Encode {
     codec: CodecOptions,
 
     #[command(flatten)]
+    limits: LimitOptions,
+
+    #[command(flatten)]
     size: SizeOptions,
 
     /// Print one JSON object instead of the table
@@ -36,7 +39,7 @@ pub struct Encode {
     json: bool,
 }
 
-/// How windows are cut and encoded.
+/// How windows are encoded.
 #[derive(Debug, Clone, Args)]
 pub struct CodecOptions {
     /// How a pixel is represented
@@ -66,6 +69,13 @@ pub struct CodecOptions {
     #[arg(long, value_name = "T", default_value = "32768")]
     window_us: NonZeroU32,
 
+    #[command(flatten)]
+    thresholds: ThresholdOptions,
+}
+
+/// How large windows and frames may be.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct LimitOptions {
     /// Events that a window holds before it closes early
     #[arg(long, value_name = "N", default_value_t = crate::encode::WINDOW_EVENTS as u32,
           value_parser = clap::value_parser!(u32).range(1..=eecvs_nostd::window::EVENTS_MAX as i64))]
@@ -76,9 +86,6 @@ pub struct CodecOptions {
           value_parser = clap::value_parser!(u32)
               .range(OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
     frame_bytes: u32,
-
-    #[command(flatten)]
-    thresholds: ThresholdOptions,
 }
 
 /// A mode on the command line.
@@ -125,10 +132,12 @@ impl CodecOptions {
             quantiser: Quantiser::new(self.step_log2).context("the step is out of range")?,
         })
     }
+}
 
+impl LimitOptions {
     /// Sizes of windows and frames.
     #[must_use]
-    pub const fn limits(&self) -> Limits {
+    pub const fn limits(self) -> Limits {
         Limits {
             window_events: self.window_events as usize,
             frame_bytes: self.frame_bytes as usize,
@@ -150,7 +159,7 @@ impl Encode {
         let summary = encode(
             reader.as_mut(),
             config,
-            self.codec.limits(),
+            self.limits.limits(),
             &mut out,
             &mut |events| {
                 progress.set(events);

@@ -9,6 +9,7 @@ pub mod emulate;
 pub mod encode;
 pub mod info;
 pub mod inspect;
+pub mod mcu;
 pub mod monitor;
 pub mod options;
 pub mod output;

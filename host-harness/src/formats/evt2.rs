@@ -1,19 +1,15 @@
 //! Prophesee RAW with EVT 2.0 words: 32 bits, little-endian, the type in the upper four.
 //!
-//! | type | bits 27..0 |
-//! |---|---|
-//! | 0 `CD_OFF`, 1 `CD_ON` | 27..22 time bits 5..0, 21..11 x, 10..0 y |
-//! | 8 `TIME_HIGH` | time bits 33..6 |
-//! | A `EXT_TRIGGER`, E OTHERS, F CONTINUED | skipped and counted |
-//!
-//! The 34 bits of time wrap after 4.8 hours; the wraps are carried. An event before the first
-//! `TIME_HIGH` has no time: it is counted and skipped. There is no maintained crate for EVT 2.0.
+//! The core's [`eecvs_nostd::evt2`] decodes the words, here and on a microcontroller. Words that are
+//! no events (triggers, vendor words) are skipped and counted; so is an event before the first
+//! `TIME_HIGH`, which has no time. There is no maintained crate for EVT 2.0.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::Context;
+use eecvs_nostd::evt2::{Evt2Decoder as WordDecoder, Word};
 use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
@@ -24,6 +20,8 @@ use super::{EventWriter, Skipped, create_file};
 const TIME_HIGH: u32 = 0x8;
 const TIME_HIGH_BITS: u32 = 28;
 const TIME_LOW_BITS: u32 = 6;
+/// 4.8 hours.
+const PERIOD_US: u64 = 1 << (TIME_HIGH_BITS + TIME_LOW_BITS);
 
 /// Reader of EVT 2.0 files.
 pub type Evt2Reader = Reader<Evt2Decoder>;
@@ -49,8 +47,7 @@ impl Evt2Reader {
             words: Words::default(),
             sensor,
             camera: header.camera,
-            high: Wrapping::new(TIME_HIGH_BITS, header.time_base_us >> TIME_LOW_BITS),
-            time_us: None,
+            decoder: WordDecoder::new(header.time_base_us - header.time_base_us % PERIOD_US),
             events: 0,
             skipped: Skipped::default(),
         }))
@@ -63,9 +60,7 @@ pub struct Evt2Decoder {
     words: Words<4>,
     sensor: Sensor,
     camera: Option<String>,
-    high: Wrapping,
-    /// Time without its low bits; `None` before the first `TIME_HIGH`.
-    time_us: Option<u64>,
+    decoder: WordDecoder,
     events: u64,
     skipped: Skipped,
 }
@@ -93,34 +88,28 @@ impl Decode for Evt2Decoder {
                 break;
             };
             let word = u32::from_le_bytes(word);
-            match word >> 28 {
-                kind @ (0 | 1) => {
-                    let (x, y) = ((word >> 11 & 0x7ff) as u16, (word & 0x7ff) as u16);
-                    let Some(high_us) = self.time_us else {
-                        self.skipped.add("events before the first time", 1);
-                        continue;
-                    };
+            match self.decoder.decode(word) {
+                Word::Event(event) => {
+                    let Event { x, y, .. } = event;
                     if !self.sensor.contains(x, y) {
                         let offset = self.words.offset(&self.input);
                         let (x, y) = (i64::from(x), i64::from(y));
                         return Err(self.input.outside(offset, self.events, x, y, self.sensor));
                     }
                     self.events += 1;
-                    batch.push(Event {
-                        t_us: high_us | u64::from(word >> 22 & 0x3f),
-                        x,
-                        y,
-                        polarity: Polarity::from_bool(kind == 1),
-                    });
+                    batch.push(event);
                 }
-                TIME_HIGH => {
-                    let high = self.high.extend(u64::from(word & 0x0fff_ffff));
-                    self.time_us = Some(high << TIME_LOW_BITS);
-                }
-                0xa => self.skipped.add("triggers", 1),
-                0xe => self.skipped.add("other words", 1),
-                0xf => self.skipped.add("continued words", 1),
-                _ => self.skipped.add("unknown words", 1),
+                Word::Time => {}
+                Word::Untimed => self.skipped.add("events before the first time", 1),
+                Word::Other => self.skipped.add(
+                    match word >> 28 {
+                        0xa => "triggers",
+                        0xe => "other words",
+                        0xf => "continued words",
+                        _ => "unknown words",
+                    },
+                    1,
+                ),
             }
         }
         Ok(())
@@ -215,5 +204,39 @@ impl EventWriter for Evt2Writer {
         self.file
             .flush()
             .with_context(|| format!("{}: cannot be written", self.name))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// The writer asks its own counter what a reader will make of a time.
+        #[test]
+        fn the_writers_counter_agrees_with_the_decoder(
+            periods in 0..3_u64,
+            highs in proptest::collection::vec(
+                prop_oneof![
+                    0..1_u32 << TIME_HIGH_BITS,
+                    0..9_u32,
+                    (0..9_u32).prop_map(|below| (1 << TIME_HIGH_BITS) - 1 - below),
+                    (0..9_u32).prop_map(|above| (1 << (TIME_HIGH_BITS - 1)) - 4 + above),
+                    (0..9_u32).prop_map(|above| (1 << TIME_HIGH_BITS) - (1 << 20) - 4 + above),
+                ],
+                1..50,
+            ),
+        ) {
+            let mut counter = Wrapping::new(TIME_HIGH_BITS, periods << TIME_HIGH_BITS);
+            let mut decoder = WordDecoder::new(periods * PERIOD_US);
+            for high in highs {
+                prop_assert_eq!(decoder.decode(TIME_HIGH << 28 | high), Word::Time);
+                let Word::Event(event) = decoder.decode(0) else {
+                    return Err(TestCaseError::fail("no event"));
+                };
+                prop_assert_eq!(event.t_us, counter.extend(u64::from(high)) << TIME_LOW_BITS);
+            }
+        }
     }
 }

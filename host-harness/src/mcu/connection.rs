@@ -1,0 +1,236 @@
+//! A stream of bytes to an encoder, used in both directions at once.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::ops::ControlFlow;
+use std::os::unix::net::UnixStream;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Error, Result, anyhow, bail};
+
+use super::link::{Demultiplexer, Message};
+
+/// Longest time that a read or a write may wait.
+const WAIT: Duration = Duration::from_millis(100);
+/// A message that stays incomplete for so long is none.
+const INCOMPLETE: Duration = Duration::from_secs(5);
+/// Bytes read at a time.
+const READ_BYTES: usize = 1 << 14;
+
+/// A stream of bytes to an encoder and back: a socket of an emulator, a serial port.
+pub trait Link {
+    /// Both directions, each for a thread of its own.
+    ///
+    /// Neither a read nor a write waits for long: where nothing moves, it fails with `TimedOut` or
+    /// `WouldBlock`.
+    ///
+    /// # Errors
+    /// The link cannot be used.
+    fn halves(&self) -> io::Result<Halves>;
+}
+
+/// The two directions of a [`Link`].
+pub struct Halves {
+    /// From the encoder.
+    pub reader: Box<dyn Read + Send>,
+    /// To the encoder.
+    pub writer: Box<dyn Write + Send>,
+}
+
+impl Link for UnixStream {
+    fn halves(&self) -> io::Result<Halves> {
+        self.set_read_timeout(Some(WAIT))?;
+        self.set_write_timeout(Some(WAIT))?;
+        Ok(Halves {
+            reader: Box::new(self.try_clone()?),
+            writer: Box::new(self.try_clone()?),
+        })
+    }
+}
+
+/// Whether nothing moved, but might soon.
+fn is_pause(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+    )
+}
+
+/// The sending side of [`Connection::exchange`].
+pub struct Sender<'c> {
+    writer: &'c mut dyn Write,
+    stop: &'c AtomicBool,
+    moved: &'c AtomicU64,
+}
+
+impl Sender<'_> {
+    /// Sends all of `bytes`, however long the encoder holds the link.
+    ///
+    /// # Errors
+    /// The link failed, or the exchange ended.
+    pub fn send(&mut self, bytes: &[u8]) -> Result<()> {
+        let mut left = bytes;
+        while !left.is_empty() {
+            if self.is_stopped() {
+                bail!("the exchange ended");
+            }
+            match self.writer.write(left) {
+                Ok(0) => bail!("the link to the encoder takes no more bytes"),
+                Ok(sent) => {
+                    self.moved.fetch_add(sent as u64, Ordering::Relaxed);
+                    left = &left[sent..];
+                }
+                Err(error) if is_pause(&error) => {}
+                // Not as a source: a closed pipe is an end of no importance to the command line.
+                Err(error) => return Err(anyhow!("sending to the encoder: {error}")),
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the exchange has ended.
+    #[must_use]
+    pub fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Waits for `duration`, or until `is_over` or the exchange ends.
+    pub fn pause(&self, duration: Duration, is_over: impl Fn() -> bool) {
+        let started = Instant::now();
+        while !self.is_stopped() && !is_over() && started.elapsed() < duration {
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+/// A link in use.
+pub struct Connection {
+    halves: Halves,
+    incoming: Demultiplexer,
+    patience: Duration,
+}
+
+impl Connection {
+    /// Uses a link; where nothing moves for `patience`, an exchange fails.
+    ///
+    /// # Errors
+    /// The link cannot be used.
+    pub fn new(link: &dyn Link, patience: Duration) -> Result<Self> {
+        let halves = link
+            .halves()
+            .map_err(|error| anyhow!("the link to the encoder: {error}"))?;
+        Ok(Self {
+            halves,
+            incoming: Demultiplexer::default(),
+            patience,
+        })
+    }
+
+    /// What came and was not taken yet.
+    pub const fn incoming(&mut self) -> &mut Demultiplexer {
+        &mut self.incoming
+    }
+
+    /// How long nothing may move.
+    #[must_use]
+    pub const fn patience(&self) -> Duration {
+        self.patience
+    }
+
+    /// Runs `send` in a thread of its own and gives `take` every message that comes, until it
+    /// breaks. Both go on together: an encoder that is not read from stops reading.
+    ///
+    /// # Errors
+    /// Those of `send` and `take`, a failed link, or nothing that moves for longer than the
+    /// connection's patience.
+    pub fn exchange(
+        &mut self,
+        send: impl FnOnce(&mut Sender<'_>) -> Result<()> + Send,
+        mut take: impl FnMut(Message, &mut Demultiplexer) -> Result<ControlFlow<()>>,
+    ) -> Result<()> {
+        let (stop, moved) = (AtomicBool::new(false), AtomicU64::new(0));
+        let Self {
+            halves: Halves { reader, writer },
+            incoming,
+            patience,
+        } = self;
+        thread::scope(|scope| {
+            let sending = scope.spawn(|| {
+                let mut sender = Sender {
+                    writer,
+                    stop: &stop,
+                    moved: &moved,
+                };
+                // An error after the end of the exchange is only that end.
+                send(&mut sender)
+                    .err()
+                    .filter(|_| !stop.swap(true, Ordering::Relaxed))
+            });
+            let received = receive(
+                reader.as_mut(),
+                incoming,
+                *patience,
+                &stop,
+                &moved,
+                &mut take,
+            );
+            stop.store(true, Ordering::Relaxed);
+            match sending.join() {
+                Ok(Some(error)) => Err(error),
+                Ok(None) => received,
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        })
+    }
+}
+
+fn receive(
+    reader: &mut dyn Read,
+    incoming: &mut Demultiplexer,
+    patience: Duration,
+    stop: &AtomicBool,
+    moved: &AtomicU64,
+    take: &mut dyn FnMut(Message, &mut Demultiplexer) -> Result<ControlFlow<()>>,
+) -> Result<()> {
+    let mut bytes = vec![0; READ_BYTES];
+    let mut sent = 0;
+    let (mut last_moved, mut last_received) = (Instant::now(), Instant::now());
+    loop {
+        while let Some(message) = incoming.next_message() {
+            if take(message, incoming)?.is_break() {
+                return Ok(());
+            }
+        }
+        if stop.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        match reader.read(&mut bytes) {
+            Ok(0) => bail!("the encoder's end of the link was closed"),
+            Ok(read) => {
+                incoming.push(&bytes[..read]);
+                (last_moved, last_received) = (Instant::now(), Instant::now());
+            }
+            Err(error) if is_pause(&error) => {
+                let now = moved.load(Ordering::Relaxed);
+                if now != sent {
+                    (sent, last_moved) = (now, Instant::now());
+                }
+                if last_received.elapsed() > INCOMPLETE {
+                    incoming.give_up();
+                }
+                if last_moved.elapsed() > patience {
+                    return Err(stalled(patience));
+                }
+            }
+            Err(error) => return Err(anyhow!("receiving from the encoder: {error}")),
+        }
+    }
+}
+
+fn stalled(patience: Duration) -> Error {
+    anyhow!(
+        "the encoder neither takes nor sends anything for {} s",
+        patience.as_secs_f32()
+    )
+}

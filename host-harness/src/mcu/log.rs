@@ -1,0 +1,102 @@
+//! The log of a firmware image: defmt's frames, decoded with the image's own strings.
+
+use std::collections::VecDeque;
+use std::io::{Read, Write};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use anyhow::{Context, Result};
+use defmt_decoder::{DecodeError, Locations, Table};
+
+/// Lines that are kept for error messages.
+const KEPT_LINES: usize = 20;
+
+/// The latest lines of a log; clones share them.
+#[derive(Debug, Clone, Default)]
+pub struct LogLines(Arc<Mutex<VecDeque<String>>>);
+
+impl LogLines {
+    fn push(&self, line: String) {
+        let mut lines = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if lines.len() == KEPT_LINES {
+            lines.pop_front();
+        }
+        lines.push_back(line);
+    }
+
+    /// The latest lines, the oldest first.
+    #[must_use]
+    pub fn latest(&self) -> Vec<String> {
+        let lines = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        lines.iter().cloned().collect()
+    }
+}
+
+/// Decodes a log.
+pub struct LogDecoder {
+    /// `None` for an image without defmt.
+    table: Option<Table>,
+    locations: Locations,
+}
+
+impl LogDecoder {
+    /// The decoder of an ELF image.
+    ///
+    /// # Errors
+    /// An image with another version of defmt, or that is damaged.
+    pub fn new(image: &[u8]) -> Result<Self> {
+        let table = Table::parse(image).context("the image's defmt strings")?;
+        // Without debug information there are none, which is no error.
+        let locations = table
+            .as_ref()
+            .and_then(|table| table.get_locations(image).ok())
+            .unwrap_or_default();
+        Ok(Self { table, locations })
+    }
+
+    /// Reads a log to its end and prints it to stderr: all of it, or warnings and errors only.
+    pub fn follow(&self, source: &mut dyn Read, all: bool, lines: &LogLines) {
+        let mut bytes = [0; 1024];
+        let mut decoder = self.table.as_ref().map(Table::new_stream_decoder);
+        // A log that cannot be read ends: the link tells whether the encoder works.
+        while let Ok(read @ 1..) = source.read(&mut bytes) {
+            let (Some(decoder), Some(table)) = (&mut decoder, &self.table) else {
+                continue;
+            };
+            decoder.received(&bytes[..read]);
+            loop {
+                let frame = match decoder.decode() {
+                    Ok(frame) => frame,
+                    Err(DecodeError::Malformed) if table.encoding().can_recover() => {
+                        show("warn", "malformed log", "", true, lines);
+                        continue;
+                    }
+                    Err(_) => break,
+                };
+                let level = frame.level().map_or("print", |level| level.as_str());
+                let place = self
+                    .locations
+                    .get(&frame.index())
+                    .map(|at| format!(" ({}:{})", file_name(&at.file), at.line))
+                    .unwrap_or_default();
+                let message = frame.display_message().to_string();
+                show(level, &message, &place, all, lines);
+            }
+        }
+    }
+}
+
+fn file_name(path: &std::path::Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
+fn show(level: &str, message: &str, place: &str, all: bool, lines: &LogLines) {
+    let line = format!("{level:<5} {message}{place}");
+    if all || ["warn", "error"].contains(&level) {
+        // A closed stderr is no reason to stop reading: the emulator would.
+        let _ = writeln!(std::io::stderr(), "mcu: {line}");
+    }
+    lines.push(line);
+}

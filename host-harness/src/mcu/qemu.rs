@@ -1,0 +1,180 @@
+//! An emulated microcontroller: QEMU, its UART and its log.
+
+use std::io::{ErrorKind, Read};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use tempfile::TempDir;
+
+use super::log::{LogDecoder, LogLines};
+
+const PROGRAM: &str = "qemu-system-arm";
+/// The UART's socket, in a folder of its own.
+const SOCKET: &str = "uart";
+/// How long QEMU may take until the socket is there.
+const START: Duration = Duration::from_secs(20);
+/// Bytes kept of what QEMU itself says.
+const MESSAGE_BYTES: u64 = 1 << 12;
+
+/// A machine that QEMU emulates and that there are images for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Machine {
+    /// STM32F405, Cortex-M4F, 168 MHz
+    #[value(name = "netduinoplus2")]
+    NetduinoPlus2,
+    /// MPS2+ board with a Cortex-M4
+    #[value(name = "mps2-an386")]
+    Mps2An386,
+    /// MPS2+ board with a Cortex-M7
+    #[value(name = "mps2-an500")]
+    Mps2An500,
+}
+
+impl Machine {
+    /// Its name, here and in QEMU.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::NetduinoPlus2 => "netduinoplus2",
+            Self::Mps2An386 => "mps2-an386",
+            Self::Mps2An500 => "mps2-an500",
+        }
+    }
+}
+
+/// A running emulator; killed when dropped.
+pub struct Qemu {
+    child: Child,
+    folder: TempDir,
+    lines: LogLines,
+    /// The readers of its stdout and stderr; the second returns what it read.
+    log: Option<JoinHandle<()>>,
+    messages: Option<JoinHandle<String>>,
+}
+
+impl Qemu {
+    /// Starts an image. One instruction takes 1 ns of the machine's time.
+    ///
+    /// Prints the image's log to stderr: all of it, or warnings and errors only.
+    ///
+    /// # Errors
+    /// QEMU is not installed, the image cannot be read.
+    pub fn start(machine: Machine, image: &Path, log_all: bool) -> Result<Self> {
+        let name = image.display();
+        let image_path = image
+            .canonicalize()
+            .with_context(|| format!("{name}: no such image"))?;
+        let bytes =
+            std::fs::read(&image_path).with_context(|| format!("{name}: cannot be read"))?;
+        let decoder = LogDecoder::new(&bytes).with_context(|| format!("{name}"))?;
+        let folder = tempfile::tempdir().context("a folder for the emulator's socket")?;
+        let started = Command::new(PROGRAM)
+            .args(["-M", machine.name()])
+            .args(["-display", "none", "-monitor", "none"])
+            // In the current folder: no path that a socket or an option could not hold.
+            .args(["-serial", &format!("unix:{SOCKET},server=on,wait=off")])
+            .args(["-icount", "shift=0"])
+            .args(["-semihosting-config", "enable=on,target=native"])
+            .arg("-kernel")
+            .arg(&image_path)
+            .current_dir(folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn();
+        let mut child = match started {
+            Err(error) if error.kind() == ErrorKind::NotFound => bail!(
+                "{PROGRAM} is not installed: get it with `apt-get install qemu-system-arm` (Debian, \
+                 Ubuntu), `dnf install qemu-system-arm` (Fedora) or `brew install qemu` (macOS)"
+            ),
+            other => other.with_context(|| format!("starting {PROGRAM}"))?,
+        };
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        let lines = LogLines::default();
+        let log = stdout.map(|mut stdout| {
+            let lines = lines.clone();
+            thread::spawn(move || decoder.follow(&mut stdout, log_all, &lines))
+        });
+        let messages = stderr.map(|mut stderr| {
+            thread::spawn(move || {
+                let mut text = Vec::new();
+                // Whatever could be read is what there is to tell.
+                let _ = stderr.by_ref().take(MESSAGE_BYTES).read_to_end(&mut text);
+                let _ = std::io::copy(&mut stderr, &mut std::io::sink());
+                String::from_utf8_lossy(&text).into_owned()
+            })
+        });
+        Ok(Self {
+            child,
+            folder,
+            lines,
+            log,
+            messages,
+        })
+    }
+
+    /// Connects to the machine's UART. After the connection was dropped, it can be made anew.
+    ///
+    /// # Errors
+    /// QEMU has ended, or does not listen.
+    pub fn connect(&mut self) -> Result<UnixStream> {
+        let path: PathBuf = self.folder.path().join(SOCKET);
+        let started = Instant::now();
+        loop {
+            match UnixStream::connect(&path) {
+                Ok(stream) => return Ok(stream),
+                Err(error) => {
+                    if let Some(end) = self.end() {
+                        bail!("{end}");
+                    }
+                    if started.elapsed() > START {
+                        bail!("{}: no connection to the emulator: {error}", path.display());
+                    }
+                }
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    /// The latest lines of the image's log.
+    #[must_use]
+    pub const fn log(&self) -> &LogLines {
+        &self.lines
+    }
+
+    /// What QEMU said when it ended; `None` while it runs. Its log is complete then.
+    pub fn end(&mut self) -> Option<String> {
+        let status = self.child.try_wait().ok().flatten()?;
+        if let Some(log) = self.log.take() {
+            let _ = log.join();
+        }
+        let said = self
+            .messages
+            .take()
+            .and_then(|messages| messages.join().ok())
+            .unwrap_or_default();
+        // What follows the first line are registers.
+        let said = said.lines().next().unwrap_or("no message");
+        Some(format!("{PROGRAM} ended ({status}, {said})"))
+    }
+}
+
+impl Drop for Qemu {
+    fn drop(&mut self) {
+        // Fails only where it has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        // With the emulator their sources have ended.
+        if let Some(log) = self.log.take() {
+            let _ = log.join();
+        }
+        if let Some(messages) = self.messages.take() {
+            let _ = messages.join();
+        }
+    }
+}
