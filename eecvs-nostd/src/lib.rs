@@ -31,6 +31,7 @@ pub mod prune;
 pub mod quantise;
 pub mod regime;
 pub mod storage;
+pub mod trace;
 pub mod transform;
 pub mod window;
 
@@ -46,6 +47,7 @@ pub use pack::{Packing, UnpackError};
 pub use quantise::{Level, Quantiser};
 pub use regime::{Regime, Thresholds};
 pub use storage::Storage;
+pub use trace::{Stage, Trace};
 pub use transform::Transform;
 pub use window::{
     Closed, Counts, Push, Slot, Window, WindowBuffers, WindowConfig, bitmap_words, segments,
