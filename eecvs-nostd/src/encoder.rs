@@ -215,7 +215,7 @@ impl<'b> WindowEncoder<'b> {
         let packing = header.packing();
         let mut next_index = 0;
         header.last = loop {
-            let Some(pixel) = self.group.current(window) else {
+            let Some(pixel) = self.group.next(window) else {
                 break true;
             };
             let (descriptor, saturated) = self.describe(pixel, header, window, task.scale, trace);
@@ -226,13 +226,13 @@ impl<'b> WindowEncoder<'b> {
                 .is_err()
             {
                 writer.rewind(position);
+                self.group.put_back(pixel);
                 break false;
             }
             header.events += descriptor.events();
             header.pixels += 1;
             header.saturated = header.saturated.saturating_add(saturated);
             trace.enter(Stage::Group);
-            self.group.advance();
         };
         trace.enter(Stage::Frame);
         let payload_bytes = writer.finish();

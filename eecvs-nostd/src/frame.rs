@@ -3,10 +3,10 @@
 //! A frame is parsed where it lies. The header has a checksum of its own, so that a damaged length
 //! is never trusted; the CRC-32 covers everything from the sync bytes to its own start.
 
-use crc::{CRC_16_IBM_3740, CRC_32_ISO_HDLC, Crc, NoTable};
 use serde::{Deserialize, Serialize};
 
 use crate::bits::BitReader;
+use crate::checksum::{CRC_16, crc_32};
 use crate::descriptor::Descriptor;
 use crate::event::Sensor;
 use crate::pack::{Packing, UnpackError};
@@ -31,12 +31,6 @@ const PREFIX_BYTES: usize = 4;
 /// Every field of the header at its longest.
 const FIELDS_BYTES_MAX: usize = 79;
 const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
-
-static HEADER_CRC: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_IBM_3740);
-#[cfg(target_pointer_width = "64")]
-static FRAME_CRC: Crc<u32, crc::Table<16>> = Crc::<u32, crc::Table<16>>::new(&CRC_32_ISO_HDLC);
-#[cfg(not(target_pointer_width = "64"))]
-static FRAME_CRC: Crc<u32, crc::Table<1>> = Crc::<u32, crc::Table<1>>::new(&CRC_32_ISO_HDLC);
 
 /// What a payload holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -271,11 +265,11 @@ pub fn seal(
     bytes[..2].copy_from_slice(&SYNC);
     bytes[2] = VERSION;
     bytes[3] = header_bytes as u8;
-    let crc = HEADER_CRC.checksum(&bytes[..header_bytes - 2]);
+    let crc = CRC_16.checksum(&bytes[..header_bytes - 2]);
     bytes[header_bytes - 2..header_bytes].copy_from_slice(&crc.to_le_bytes());
     let start = HEADER_BYTES_MAX - header_bytes;
     out[start..HEADER_BYTES_MAX].copy_from_slice(&bytes[..header_bytes]);
-    let crc = FRAME_CRC.checksum(&out[start..crc_at]);
+    let crc = crc_32(&out[start..crc_at]);
     out[crc_at..end].copy_from_slice(&crc.to_le_bytes());
     Ok(start..end)
 }
@@ -315,7 +309,7 @@ impl<'i> Frame<'i> {
         }
         let header = bytes.get(..header_bytes).ok_or(FrameError::Incomplete)?;
         let (fields, crc) = header.split_at(header_bytes - 2);
-        if HEADER_CRC.checksum(fields).to_le_bytes() != *crc {
+        if CRC_16.checksum(fields).to_le_bytes() != *crc {
             return Err(FrameError::HeaderDamaged);
         }
         let (wire, rest) = postcard::take_from_bytes::<Wire>(&fields[PREFIX_BYTES..])
@@ -331,7 +325,7 @@ impl<'i> Frame<'i> {
         let crc_at = header_bytes + payload_bytes;
         let end = crc_at + CRC_BYTES;
         let frame = bytes.get(..end).ok_or(FrameError::Incomplete)?;
-        if FRAME_CRC.checksum(&frame[..crc_at]).to_le_bytes() != frame[crc_at..] {
+        if crc_32(&frame[..crc_at]).to_le_bytes() != frame[crc_at..] {
             return Err(FrameError::Damaged(end as u32));
         }
         Ok(Self {

@@ -15,6 +15,7 @@ extern crate std;
 
 pub mod atom;
 pub mod bits;
+mod checksum;
 pub mod density;
 pub mod descriptor;
 pub mod encoder;
@@ -50,5 +51,6 @@ pub use storage::Storage;
 pub use trace::{Stage, Trace};
 pub use transform::Transform;
 pub use window::{
-    Closed, Counts, Push, Slot, Window, WindowBuffers, WindowConfig, bitmap_words, segments,
+    Closed, Counts, Head, Push, Slot, Taken, Window, WindowBuffers, WindowConfig, bitmap_words,
+    segments,
 };

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::{
-    Config, Encoder, OUTPUT_BYTES_MIN, Push, Scratch, Sensor, SetupError, Slot, Transform,
+    Config, Encoder, Head, OUTPUT_BYTES_MIN, Push, Scratch, Sensor, SetupError, Slot, Transform,
     WindowBuffers, bitmap_words, segments,
 };
 use serde::Serialize;
@@ -20,7 +20,7 @@ pub const WINDOW_EVENTS: usize = 1 << 20;
 #[derive(Debug)]
 pub struct HostStorage {
     slots: Vec<Slot>,
-    heads: Vec<u32>,
+    heads: Vec<Head>,
     bitmap: Vec<u32>,
     sums: Vec<Sum>,
     totals: Vec<WideSum>,

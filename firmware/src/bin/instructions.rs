@@ -19,10 +19,10 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::debug::{self, EXIT_FAILURE, EXIT_SUCCESS};
 use cortex_m_semihosting::hprintln;
 use eecvs_firmware as _;
-use eecvs_nostd::evt2::{Evt2Decoder, Word};
+use eecvs_nostd::evt2::Evt2Decoder;
 use eecvs_nostd::{
-    Config, Encoder, OUTPUT_BYTES_MIN, Push, Quantiser, Sensor, SetupError, Stage, Storage,
-    Thresholds, Trace, Transform, WindowConfig, bitmap_words, segments,
+    Config, Encoder, OUTPUT_BYTES_MIN, Quantiser, Sensor, SetupError, Stage, Storage, Thresholds,
+    Trace, Transform, WindowConfig, bitmap_words, segments,
 };
 use stm32f4::stm32f405::{Peripherals, TIM2};
 
@@ -212,13 +212,15 @@ fn encode<T: Trace>(
     };
     let mut decoder = Evt2Decoder::new(0);
     trace.enter(Stage::Ingest);
-    for word in words {
-        if let Word::Event(event) = decoder.decode(u32::from_le_bytes(*word)) {
-            while encoder.push(event) == Push::Closed {
-                output.take(encoder, out, trace);
-                trace.enter(Stage::Ingest);
-            }
-        }
+    let mut rest = words;
+    loop {
+        let taken = encoder.window().push_words(&mut decoder, rest);
+        let Some(left) = rest.get(taken.words..).filter(|left| !left.is_empty()) else {
+            break;
+        };
+        rest = left;
+        output.take(encoder, out, trace);
+        trace.enter(Stage::Ingest);
     }
     encoder.flush();
     output.take(encoder, out, trace);
