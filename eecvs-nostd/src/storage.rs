@@ -7,8 +7,8 @@ use crate::window::{Head, Slot, WindowBuffers};
 /// Every buffer of an encoder, zeroed, for `.bss`.
 ///
 /// `EVENTS` of a window: 8 bytes each. `SEGMENTS` = [`crate::segments`] of the sensor: 2 bytes
-/// each on a microcontroller, 4 on a host. `BITMAP` = [`crate::bitmap_words`] of them: 4 bytes each. `NUMBERS` = 2K for the largest
-/// K in use: 20 bytes each.
+/// each on a microcontroller, 4 on a host. `BITMAP` = [`crate::bitmap_words`] of them: 4 bytes
+/// each. `NUMBERS` = 2K for the largest K in use: 20 bytes each.
 #[derive(Debug)]
 pub struct Storage<
     const EVENTS: usize,

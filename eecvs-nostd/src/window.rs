@@ -384,52 +384,50 @@ impl<'b> Window<'b> {
         let heads = &mut *self.heads;
         let slots = &mut *self.slots;
         let mut len = self.len;
-        let mut span_at = len;
-        let mut taken = 0;
-        while let Some(word) = words.get(taken) {
-            let word = u32::from_le_bytes(*word);
-            if word >= EVENTS_END {
-                self.latest.span(span_us, span_at, len);
-                span_at = len;
-                let Some(step_us) = decoder.advance(word) else {
+        let mut rest = words;
+        loop {
+            let free = slots.get_mut(len as usize..).unwrap_or_default();
+            let span_at = len;
+            for (word, slot) in rest.iter().zip(free) {
+                let word = u32::from_le_bytes(*word);
+                if word >= EVENTS_END || word << (32 - SIDE_BITS - X_SHIFT) >= width {
+                    break;
+                }
+                // An x on the sensor makes the segment's index tell whether y is.
+                let segment = (word & SIDE_MASK) * stride
+                    + ((word >> (X_SHIFT + COLUMN_BITS)) & (SIDE_MASK >> COLUMN_BITS));
+                let Some(head) = heads.get_mut(segment as usize) else {
                     break;
                 };
-                taken += 1;
-                match span_us.checked_add(step_us) {
-                    Some(next_us) if next_us < end_us => span_us = next_us,
-                    _ => break,
+                let next = index(*head);
+                if next == 0 {
+                    self.marks.add(segment);
                 }
-                continue;
+                *slot = Slot::new(
+                    span_us + low_us(word),
+                    next,
+                    word >> X_SHIFT,
+                    word >> KIND_SHIFT,
+                );
+                len += 1;
+                *head = len as Head;
             }
-            if word << (32 - SIDE_BITS - X_SHIFT) >= width {
-                break;
-            }
-            // An x on the sensor makes the segment's index tell whether y is.
-            let segment = (word & SIDE_MASK) * stride
-                + ((word >> (X_SHIFT + COLUMN_BITS)) & (SIDE_MASK >> COLUMN_BITS));
-            let Some(head) = heads.get_mut(segment as usize) else {
+            self.latest.span(span_us, span_at, len);
+            rest = rest.get((len - span_at) as usize..).unwrap_or_default();
+            let Some((word, after)) = rest.split_first() else {
                 break;
             };
-            let Some(slot) = slots.get_mut(len as usize) else {
+            let Some(step_us) = decoder.advance(u32::from_le_bytes(*word)) else {
                 break;
             };
-            let next = index(*head);
-            if next == 0 {
-                self.marks.add(segment);
+            rest = after;
+            match span_us.checked_add(step_us) {
+                Some(next_us) if next_us < end_us => span_us = next_us,
+                _ => break,
             }
-            *slot = Slot::new(
-                span_us + low_us(word),
-                next,
-                word >> X_SHIFT,
-                word >> KIND_SHIFT,
-            );
-            len += 1;
-            *head = len as Head;
-            taken += 1;
         }
-        self.latest.span(span_us, span_at, len);
         self.len = len;
-        taken
+        words.len() - rest.len()
     }
 
     /// Largest offset of the events held, or less where that is below `at_least_us` anyway.
@@ -599,11 +597,14 @@ impl Marks<'_> {
     #[inline(never)]
     fn add(&mut self, segment: u32) {
         let word = segment / 32;
-        if let Some(bits) = self.bitmap.get_mut(word as usize) {
-            *bits |= 1 << (segment % 32);
-        }
-        if let Some(words) = self.summary.get_mut(word as usize / 32) {
+        let Some(bits) = self.bitmap.get_mut(word as usize) else {
+            return;
+        };
+        if *bits == 0
+            && let Some(words) = self.summary.get_mut(word as usize / 32)
+        {
             *words |= 1 << (word % 32);
         }
+        *bits |= 1 << (segment % 32);
     }
 }
