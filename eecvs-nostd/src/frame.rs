@@ -250,28 +250,35 @@ pub fn seal(
     payload_bytes: usize,
     out: &mut [u8],
 ) -> Result<core::ops::Range<usize>, NoRoom> {
-    let crc_at = HEADER_BYTES_MAX + payload_bytes;
-    let end = crc_at + CRC_BYTES;
-    if end > out.len() || end > FRAME_BYTES_MAX {
+    let crc_at = HEADER_BYTES_MAX.checked_add(payload_bytes).ok_or(NoRoom)?;
+    if crc_at > FRAME_BYTES_MAX - CRC_BYTES {
         return Err(NoRoom);
     }
-    let mut bytes = [0; HEADER_BYTES_MAX];
-    let wire = header.wire(payload_bytes as u32);
+    let (frame, after) = out.split_at_mut_checked(crc_at).ok_or(NoRoom)?;
+    let frame_crc = after.first_chunk_mut::<CRC_BYTES>().ok_or(NoRoom)?;
+
+    let mut header_bytes = [0; HEADER_BYTES_MAX];
+    let (prefix, fields) = header_bytes
+        .split_first_chunk_mut::<PREFIX_BYTES>()
+        .ok_or(NoRoom)?;
     // FIELDS_BYTES_MAX fits: there is always room.
-    let fields = postcard::to_slice(&wire, &mut bytes[PREFIX_BYTES..])
+    let fields = postcard::to_slice(&header.wire(payload_bytes as u32), fields)
         .map_err(|_| NoRoom)?
         .len();
-    let header_bytes = PREFIX_BYTES + fields + 2;
-    bytes[..2].copy_from_slice(&SYNC);
-    bytes[2] = VERSION;
-    bytes[3] = header_bytes as u8;
-    let crc = CRC_16.checksum(&bytes[..header_bytes - 2]);
-    bytes[header_bytes - 2..header_bytes].copy_from_slice(&crc.to_le_bytes());
-    let start = HEADER_BYTES_MAX - header_bytes;
-    out[start..HEADER_BYTES_MAX].copy_from_slice(&bytes[..header_bytes]);
-    let crc = crc_32(&out[start..crc_at]);
-    out[crc_at..end].copy_from_slice(&crc.to_le_bytes());
-    Ok(start..end)
+    let length = PREFIX_BYTES + fields + 2;
+    *prefix = [SYNC[0], SYNC[1], VERSION, length as u8];
+    let (checked, after) = header_bytes
+        .split_at_mut_checked(PREFIX_BYTES + fields)
+        .ok_or(NoRoom)?;
+    *after.first_chunk_mut().ok_or(NoRoom)? = CRC_16.checksum(checked).to_le_bytes();
+
+    let start = HEADER_BYTES_MAX.checked_sub(length).ok_or(NoRoom)?;
+    let frame = frame.get_mut(start..).ok_or(NoRoom)?;
+    for (to, from) in frame.iter_mut().zip(&header_bytes).take(length) {
+        *to = *from;
+    }
+    *frame_crc = crc_32(frame).to_le_bytes();
+    Ok(start..crc_at + CRC_BYTES)
 }
 
 /// A whole, undamaged frame.

@@ -84,6 +84,8 @@ impl Group {
     }
 
     /// The next pixel; `None` after the last.
+    // A tally is wider than 32 bits on some targets.
+    #[allow(clippy::unnecessary_cast)]
     #[inline]
     pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
         if self.columns == 0 {

@@ -164,8 +164,8 @@ impl Output {
             self.pixels += encoded.header.pixels;
             self.events += encoded.header.events;
             self.bytes += encoded.range.len() as u32;
-            let crc = out[..encoded.range.end].last_chunk().copied();
-            self.check = self.check.rotate_left(1) ^ crc.map_or(0, u32::from_le_bytes);
+            let crc = out.get(encoded.range).and_then(|frame| frame.last_chunk());
+            self.check = self.check.rotate_left(1) ^ crc.map_or(0, |crc| u32::from_le_bytes(*crc));
         }
     }
 }
