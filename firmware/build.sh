@@ -6,8 +6,8 @@
 #   mps2-an500      Cortex-M7 in QEMU
 #   microbit        Cortex-M0 in QEMU: no FPU, no DSP instructions, no atomics; `golden` alone
 #
-# The images are firmware/target/MACHINE/TARGET/release/{encoder,golden,instructions}; the last
-# line printed is their folder.
+# The images are firmware/target/MACHINE/TARGET/release/{encoder,golden}; the last line printed is
+# their folder. BINARY `instructions` needs its cuts: instructions.sh makes them and calls this.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -21,6 +21,7 @@ case $machine in
     *) sed -n '2,10s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
 esac
 
+[ "${2:-}" != instructions ] || feature+=,cuts
 command=(cargo build --release --locked --features "$feature" --target "$target" --target-dir "target/$machine")
 if [ -n "${2:-}" ]; then
     command+=(--bin "$2")

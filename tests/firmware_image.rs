@@ -207,9 +207,7 @@ fn wide(at: u32, first: u32, second: u32, start: u32, end: u32, function: &mut F
                 | (second & 0x7FF) << 1;
             jump(at, (raw << 11) as i32 >> 11, start, end, function);
         }
-    } else if first & 0xFFF0 == 0xF8D0 && second >> 12 == 15
-        || first & 0xFF7F == 0xF85F && second >> 12 == 15
-    {
+    } else if (first & 0xFFF0 == 0xF8D0 || first == 0xF85F) && second >> 12 == 15 {
         // ldr pc
         function.indirect += 1;
     }

@@ -94,9 +94,12 @@ impl Exchange<'static> for Side {
         self.free.pop_front()
     }
 
-    fn hand_over(&mut self, work: Work<'static>) -> Result<(), Work<'static>> {
+    fn has_room(&self) -> bool {
+        self.work.len() < 3
+    }
+
+    fn hand_over(&mut self, work: Work<'static>) {
         self.work.push_back(work);
-        Ok(())
     }
 }
 

@@ -2,9 +2,10 @@
 
 use std::num::{NonZeroU32, NonZeroUsize};
 
+use eecvs_nostd::evt2::{Evt2Decoder, Evt2Encoder, Word};
 use eecvs_nostd::window::EVENTS_MAX;
 use eecvs_nostd::{
-    Event, NoRoom, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Regime, Sensor, Transform,
+    Encoder, Event, NoRoom, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Regime, Sensor, Transform,
 };
 use host_harness::encode::HostStorage;
 use host_harness::reconstruct::pixels;
@@ -302,5 +303,146 @@ fn the_largest_window_at_the_end_of_time_fits_one_pixel() {
         assert_eq!(header.saturated, u32::from(step_log2 < 0));
         assert_eq!(encoder.next_frame(&mut out), Ok(None));
         assert_eq!(encoder.push(at(u64::MAX, 0)), Push::Stored);
+    }
+}
+
+/// What a window is asked to do in [`words_are_taken_as_events_are`].
+#[derive(Debug, Clone, Copy)]
+enum Input {
+    Event {
+        step_us: i32,
+        x: u16,
+        y: u16,
+        on: bool,
+    },
+    Word(u32),
+    /// The next event comes as an event, between words.
+    Apart,
+}
+
+fn input() -> impl Strategy<Value = Input> {
+    let event =
+        |steps: std::ops::Range<i32>| {
+            (steps, 0..44_u16, 0..4_u16, any::<bool>())
+                .prop_map(|(step_us, x, y, on)| Input::Event { step_us, x, y, on })
+        };
+    prop_oneof![
+        20 => event(0..20),
+        3 => event(-100..300),
+        1 => event(0..5000),
+        1 => any::<u32>().prop_map(Input::Word),
+        1 => Just(Input::Apart),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn words_are_taken_as_events_are(
+        inputs in prop::collection::vec(input(), 0..300),
+        window_us in prop_oneof![1..200_u32, 200..3000_u32, Just(u32::MAX)],
+        slots in prop_oneof![1..20_usize, Just(1000)],
+        chunk in prop_oneof![1..5_usize, Just(1000)],
+        base_us in prop_oneof![Just(0), any::<u64>()],
+    ) {
+        let sensor = Sensor { width: 40, height: 3 };
+        let mut config = plain_config(sensor, Transform::Dct, 8);
+        config.window.window_us = window_us;
+
+        // The words, and whether the window is to get the next one's event by itself.
+        let mut words = Vec::new();
+        let mut apart = false;
+        let mut t_us = base_us.saturating_add(1000);
+        let mut encoder = Evt2Encoder::new(base_us);
+        for input in inputs {
+            match input {
+                Input::Apart => apart = true,
+                Input::Word(word) => words.push((word.to_le_bytes(), false)),
+                Input::Event { step_us, x, y, on } => {
+                    t_us = t_us.saturating_add_signed(step_us.into());
+                    let polarity = Polarity::from_bool(on);
+                    let Some((time, word)) = encoder.encode(Event { t_us, x, y, polarity }) else {
+                        continue;
+                    };
+                    words.extend(time.map(|time| (time.to_le_bytes(), false)));
+                    words.push((word.to_le_bytes(), std::mem::take(&mut apart)));
+                }
+            }
+        }
+
+        let one_by_one = |words: &[([u8; 4], bool)]| {
+            let mut storage = HostStorage::new(sensor, slots);
+            let mut encoder = storage.encoder(config).expect("a valid configuration");
+            let mut decoder = Evt2Decoder::new(base_us);
+            let mut frames = Frames::default();
+            for (word, _) in words {
+                match decoder.decode(u32::from_le_bytes(*word)) {
+                    Word::Event(event) => {
+                        frames.events += 1;
+                        while encoder.push(event) == Push::Closed {
+                            frames.take(&mut encoder);
+                        }
+                    }
+                    Word::Time => {}
+                    Word::Untimed | Word::Other => frames.ignored += 1,
+                }
+            }
+            encoder.flush();
+            frames.take(&mut encoder);
+            frames
+        };
+        let in_runs = |words: &[([u8; 4], bool)]| {
+            let mut storage = HostStorage::new(sensor, slots);
+            let mut encoder = storage.encoder(config).expect("a valid configuration");
+            let mut decoder = Evt2Decoder::new(base_us);
+            let mut frames = Frames::default();
+            for run in words.chunk_by(|_, (_, apart)| !apart) {
+                let mut rest = run;
+                if let Some((word, true)) = run.first()
+                    && let Word::Event(event) = decoder.decode(u32::from_le_bytes(*word))
+                {
+                    frames.events += 1;
+                    while encoder.push(event) == Push::Closed {
+                        frames.take(&mut encoder);
+                    }
+                    rest = &run[1..];
+                }
+                let words: Vec<_> = rest.iter().map(|(word, _)| *word).collect();
+                for chunk in words.chunks(chunk) {
+                    let mut rest = chunk;
+                    while !rest.is_empty() {
+                        let taken = encoder.window().push_words(&mut decoder, rest);
+                        frames.events += taken.events;
+                        frames.ignored += taken.ignored;
+                        rest = &rest[taken.words..];
+                        if !rest.is_empty() {
+                            assert!(encoder.window().closed().is_some());
+                            frames.take(&mut encoder);
+                        }
+                    }
+                }
+            }
+            encoder.flush();
+            frames.take(&mut encoder);
+            frames
+        };
+        prop_assert_eq!(in_runs(&words), one_by_one(&words));
+    }
+}
+
+#[derive(Debug, Default, PartialEq)]
+struct Frames {
+    bytes: Vec<Vec<u8>>,
+    events: u32,
+    ignored: u32,
+}
+
+impl Frames {
+    fn take(&mut self, encoder: &mut Encoder<'_>) {
+        let mut out = vec![0; 1 << 16];
+        while let Some(frame) = encoder.next_frame(&mut out).expect("room") {
+            self.bytes.push(out[frame.range].to_vec());
+        }
     }
 }

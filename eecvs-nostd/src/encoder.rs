@@ -14,6 +14,7 @@ use crate::phase::PhaseScale;
 use crate::prune::{Kept, largest, low_frequency};
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
+use crate::trace::{Stage, Trace};
 use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, Impulse, M_MAX, Rule, Transform};
 use crate::window::{Closed, Push, Window, WindowBuffers, WindowConfig};
 
@@ -204,6 +205,20 @@ impl<'b> WindowEncoder<'b> {
         window: &mut Window<'_>,
         out: &mut [u8],
     ) -> Result<Option<Encoded>, NoRoom> {
+        self.next_frame_traced(window, out, &mut ())
+    }
+
+    /// As [`Self::next_frame`], telling `trace` which stage is at work.
+    ///
+    /// # Errors
+    /// [`NoRoom`], as there.
+    pub fn next_frame_traced<T: Trace>(
+        &mut self,
+        window: &mut Window<'_>,
+        out: &mut [u8],
+        trace: &mut T,
+    ) -> Result<Option<Encoded>, NoRoom> {
+        trace.enter(Stage::Group);
         let Some(closed) = window.closed() else {
             return Ok(None);
         };
@@ -232,23 +247,26 @@ impl<'b> WindowEncoder<'b> {
         let packing = header.packing();
         let mut next_index = 0;
         header.last = loop {
-            let Some(pixel) = self.group.current(window) else {
+            let Some(pixel) = self.group.next(window) else {
                 break true;
             };
-            let (descriptor, saturated) = self.describe(pixel, header, window, task.scale);
+            let (descriptor, saturated) = self.describe(pixel, header, window, task.scale, trace);
+            trace.enter(Stage::Pack);
             let position = writer.position();
             if packing
                 .pack(&descriptor, &mut next_index, &mut writer)
                 .is_err()
             {
                 writer.rewind(position);
+                self.group.put_back(pixel);
                 break false;
             }
             header.events += descriptor.events();
             header.pixels += 1;
             header.saturated = header.saturated.saturating_add(saturated);
-            self.group.advance();
+            trace.enter(Stage::Group);
         };
+        trace.enter(Stage::Frame);
         let payload_bytes = writer.finish();
         let range = seal(header, payload_bytes, out)?;
         self.sequence = self.sequence.wrapping_add(1);
@@ -298,28 +316,31 @@ impl<'b> WindowEncoder<'b> {
         }
     }
 
-    fn describe(
+    fn describe<T: Trace>(
         &mut self,
         pixel: Pixel,
         header: &Header,
         window: &mut Window<'_>,
         scale: PhaseScale,
+        trace: &mut T,
     ) -> (Descriptor, u32) {
         let chunks = Chunks::new(pixel, window.slots(), scale);
         match header.transform {
-            Transform::Dct => self.describe_in::<Dct>(pixel, header, chunks),
-            Transform::Dtft => self.describe_in::<Dtft>(pixel, header, chunks),
-            Transform::Dwt => self.describe_in::<Dwt>(pixel, header, chunks),
+            Transform::Dct => self.describe_in::<Dct, _>(pixel, header, chunks, trace),
+            Transform::Dtft => self.describe_in::<Dtft, _>(pixel, header, chunks, trace),
+            Transform::Dwt => self.describe_in::<Dwt, _>(pixel, header, chunks, trace),
         }
     }
 
     /// Accumulate, prune and quantise one pixel; also returns how many levels saturated.
-    fn describe_in<B: Basis>(
+    fn describe_in<B: Basis, T: Trace>(
         &mut self,
         pixel: Pixel,
         header: &Header,
         mut chunks: Chunks<'_>,
+        trace: &mut T,
     ) -> (Descriptor, u32) {
+        trace.enter(Stage::Accumulate);
         let grid = usize::from(header.grid);
         let Scratch {
             impulses,
@@ -329,7 +350,7 @@ impl<'b> WindowEncoder<'b> {
         } = &mut self.scratch;
         B::accumulate(chunks.fill(impulses), grid, sums);
         if pixel.on + pixel.off <= CHUNK_EVENTS as u32 {
-            return select_levels::<B, _>(pixel, header, sums, magnitudes);
+            return select_levels::<B, _>(pixel, header, sums, magnitudes, trace);
         }
         let values = B::values(grid);
         for (total, sum) in totals[..values].iter_mut().zip(sums.iter()) {
@@ -338,7 +359,7 @@ impl<'b> WindowEncoder<'b> {
         loop {
             let chunk = chunks.fill(impulses);
             if chunk.is_empty() {
-                return select_levels::<B, _>(pixel, header, totals, magnitudes);
+                return select_levels::<B, _>(pixel, header, totals, magnitudes, trace);
             }
             B::accumulate(chunk, grid, sums);
             for (total, sum) in totals[..values].iter_mut().zip(sums.iter()) {
@@ -355,7 +376,9 @@ fn select_levels<B: Basis, C: Coefficient>(
     header: &Header,
     sums: &[C],
     magnitudes: &mut [u64],
+    trace: &mut impl Trace,
 ) -> (Descriptor, u32) {
+    trace.enter(Stage::Prune);
     let grid = usize::from(header.grid);
     let r = header.packing().kept();
     let mut kept = Kept::new();
@@ -371,6 +394,7 @@ fn select_levels<B: Basis, C: Coefficient>(
         }
         Rule::Magnitude | Rule::LowFrequency => low_frequency(r, &mut kept),
     }
+    trace.enter(Stage::Quantise);
     let mut descriptor = Descriptor {
         x: pixel.x,
         y: pixel.y,
@@ -469,6 +493,18 @@ impl<'b> Encoder<'b> {
     /// [`NoRoom`].
     pub fn next_frame(&mut self, out: &mut [u8]) -> Result<Option<Encoded>, NoRoom> {
         self.encoder.next_frame(&mut self.window, out)
+    }
+
+    /// As [`Self::next_frame`]: see [`WindowEncoder::next_frame_traced`].
+    ///
+    /// # Errors
+    /// [`NoRoom`].
+    pub fn next_frame_traced(
+        &mut self,
+        out: &mut [u8],
+        trace: &mut impl Trace,
+    ) -> Result<Option<Encoded>, NoRoom> {
+        self.encoder.next_frame_traced(&mut self.window, out, trace)
     }
 
     /// The window, to count drops or to look at.

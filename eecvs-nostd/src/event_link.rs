@@ -4,10 +4,10 @@
 //! docs/wire-format.md, "Event link", has the layout. Every packet says how many events were sent
 //! before it, so the receiver knows exactly how many a lost packet held.
 
-use crc::{CRC_16_IBM_3740, Crc, Table};
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
+use crate::checksum::CRC_16;
 use crate::encoder::Config;
 use crate::event::Sensor;
 use crate::link::next_sync;
@@ -26,7 +26,6 @@ pub const PACKET_BYTES_MAX: usize = HEAD_BYTES + BODY_BYTES_MAX + CRC_BYTES;
 /// Sync, kind, body length, position.
 const HEAD_BYTES: usize = 9;
 const CRC_BYTES: usize = 2;
-static CRC: Crc<u16, Table<1>> = Crc::<u16, Table<1>>::new(&CRC_16_IBM_3740);
 
 /// What a packet is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -88,7 +87,7 @@ impl Packet<'_> {
         out[3..5].copy_from_slice(&(self.body.len() as u16).to_le_bytes());
         out[5..9].copy_from_slice(&self.position.to_le_bytes());
         out[HEAD_BYTES..crc_at].copy_from_slice(self.body);
-        let crc = CRC.checksum(&out[..crc_at]);
+        let crc = CRC_16.checksum(&out[..crc_at]);
         out[crc_at..end].copy_from_slice(&crc.to_le_bytes());
         Ok(end)
     }
@@ -396,7 +395,7 @@ fn look(bytes: &[u8]) -> Look {
     else {
         return Look::More(end);
     };
-    if CRC.checksum(checked).to_le_bytes() == *crc {
+    if CRC_16.checksum(checked).to_le_bytes() == *crc {
         Look::Packet(end)
     } else {
         Look::Damage

@@ -8,8 +8,15 @@
 
 use crate::event::{Event, Polarity};
 
-const CD_OFF: u32 = 0;
 const CD_ON: u32 = 1;
+/// What is below is an event: `CD_OFF` and `CD_ON` are the lowest types.
+pub(crate) const EVENTS_END: u32 = (CD_ON + 1) << KIND_SHIFT;
+/// The type, which is the polarity of an event.
+pub(crate) const KIND_SHIFT: u32 = 28;
+pub(crate) const LOW_SHIFT: u32 = 22;
+pub(crate) const X_SHIFT: u32 = 11;
+pub(crate) const SIDE_BITS: u32 = 11;
+pub(crate) const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
 const TIME_HIGH: u32 = 8;
 /// Time bits of an event's own word.
 const LOW_BITS: u32 = 6;
@@ -17,6 +24,8 @@ const LOW_BITS: u32 = 6;
 const HIGH_MASK: u32 = (1 << 28) - 1;
 /// Period of the format's time: 2^34 us, 4.8 hours.
 const PERIOD_US: u64 = 1 << 34;
+/// Microseconds that share a `TIME_HIGH`.
+pub(crate) const SPAN_US: u32 = 1 << LOW_BITS;
 
 /// What a word was.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,7 +45,7 @@ pub enum Word {
 #[inline]
 #[must_use]
 pub const fn is_event(word: u32) -> bool {
-    word >> 28 <= CD_ON
+    word < EVENTS_END
 }
 
 /// Decodes words; carries the time between them.
@@ -59,6 +68,30 @@ impl Evt2Decoder {
         }
     }
 
+    /// Time of the current `TIME_HIGH`, to which an event's word adds less than [`SPAN_US`].
+    #[inline]
+    pub(crate) const fn span_us(&self) -> Option<u64> {
+        match self.high {
+            Some(_) => Some(self.time_us),
+            None => None,
+        }
+    }
+
+    /// Takes a `TIME_HIGH` that is less than 2^32 us after the current one, and returns how much;
+    /// takes no other word.
+    #[inline]
+    pub(crate) fn advance(&mut self, word: u32) -> Option<u32> {
+        let high = word & HIGH_MASK;
+        let step = high.checked_sub(self.high?)?;
+        if word >> KIND_SHIFT != TIME_HIGH || step > u32::MAX >> LOW_BITS {
+            return None;
+        }
+        let step_us = step << LOW_BITS;
+        self.high = Some(high);
+        self.time_us = self.time_us.wrapping_add(u64::from(step_us));
+        Some(step_us)
+    }
+
     /// Takes the next word.
     ///
     /// A `TIME_HIGH` that falls by half of its range or more has wrapped; one that rises by the last
@@ -66,26 +99,23 @@ impl Evt2Decoder {
     /// Every other step is taken as it is.
     #[inline]
     pub fn decode(&mut self, word: u32) -> Word {
-        match word >> 28 {
-            kind @ (CD_OFF | CD_ON) => {
-                if self.high.is_none() {
-                    return Word::Untimed;
-                }
-                Word::Event(Event {
-                    t_us: self
-                        .time_us
-                        .wrapping_add(u64::from((word >> 22) & ((1 << LOW_BITS) - 1))),
-                    x: ((word >> 11) & 0x7ff) as u16,
-                    y: (word & 0x7ff) as u16,
-                    polarity: Polarity::from_bool(kind == CD_ON),
-                })
+        let kind = word >> KIND_SHIFT;
+        if word < EVENTS_END {
+            if self.high.is_none() {
+                return Word::Untimed;
             }
-            TIME_HIGH => {
-                self.step_to(word & HIGH_MASK);
-                Word::Time
-            }
-            _ => Word::Other,
+            return Word::Event(Event {
+                t_us: self.time_us.wrapping_add(u64::from(low_us(word))),
+                x: ((word >> X_SHIFT) & SIDE_MASK) as u16,
+                y: (word & SIDE_MASK) as u16,
+                polarity: Polarity::from_bool(kind == CD_ON),
+            });
         }
+        if kind != TIME_HIGH {
+            return Word::Other;
+        }
+        self.step_to(word & HIGH_MASK);
+        Word::Time
     }
 
     /// Takes the bits of a `TIME_HIGH`.
@@ -104,6 +134,12 @@ impl Evt2Decoder {
         }
         self.time_us = zero_us.wrapping_add(now_us);
     }
+}
+
+/// What an event's word adds to its `TIME_HIGH`, below [`SPAN_US`].
+#[inline]
+pub(crate) const fn low_us(word: u32) -> u32 {
+    (word >> LOW_SHIFT) & (SPAN_US - 1)
 }
 
 /// Encodes events as words, with the `TIME_HIGH` that they need.
@@ -142,12 +178,12 @@ impl Evt2Encoder {
         let time_us = event.t_us.checked_sub(self.base_us)?;
         let high = (time_us >> LOW_BITS) as u32 & HIGH_MASK;
         let is_due = self.restates || self.decoder.high != Some(high);
-        let due = is_due.then_some((TIME_HIGH << 28) | high);
+        let due = is_due.then_some((TIME_HIGH << KIND_SHIFT) | high);
         let low = time_us as u32 & ((1 << LOW_BITS) - 1);
-        let word = ((event.polarity as u32) << 28)
-            | (low << 22)
-            | ((u32::from(event.x) & 0x7ff) << 11)
-            | (u32::from(event.y) & 0x7ff);
+        let word = ((event.polarity as u32) << KIND_SHIFT)
+            | (low << LOW_SHIFT)
+            | ((u32::from(event.x) & SIDE_MASK) << X_SHIFT)
+            | (u32::from(event.y) & SIDE_MASK);
         let mut decoder = self.decoder;
         if let Some(due) = due {
             decoder.decode(due);

@@ -3,10 +3,10 @@
 //! A frame is parsed where it lies. The header has a checksum of its own, so that a damaged length
 //! is never trusted; the CRC-32 covers everything from the sync bytes to its own start.
 
-use crc::{CRC_16_IBM_3740, CRC_32_ISO_HDLC, Crc, NoTable};
 use serde::{Deserialize, Serialize};
 
 use crate::bits::BitReader;
+use crate::checksum::{CRC_16, crc_32};
 use crate::descriptor::Descriptor;
 use crate::event::Sensor;
 use crate::pack::{Packing, UnpackError};
@@ -31,12 +31,6 @@ const PREFIX_BYTES: usize = 4;
 /// Every field of the header at its longest.
 const FIELDS_BYTES_MAX: usize = 79;
 const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
-
-static HEADER_CRC: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_IBM_3740);
-#[cfg(target_pointer_width = "64")]
-static FRAME_CRC: Crc<u32, crc::Table<16>> = Crc::<u32, crc::Table<16>>::new(&CRC_32_ISO_HDLC);
-#[cfg(not(target_pointer_width = "64"))]
-static FRAME_CRC: Crc<u32, crc::Table<1>> = Crc::<u32, crc::Table<1>>::new(&CRC_32_ISO_HDLC);
 
 /// What a payload holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -256,28 +250,35 @@ pub fn seal(
     payload_bytes: usize,
     out: &mut [u8],
 ) -> Result<core::ops::Range<usize>, NoRoom> {
-    let crc_at = HEADER_BYTES_MAX + payload_bytes;
-    let end = crc_at + CRC_BYTES;
-    if end > out.len() || end > FRAME_BYTES_MAX {
+    let crc_at = HEADER_BYTES_MAX.checked_add(payload_bytes).ok_or(NoRoom)?;
+    if crc_at > FRAME_BYTES_MAX - CRC_BYTES {
         return Err(NoRoom);
     }
-    let mut bytes = [0; HEADER_BYTES_MAX];
-    let wire = header.wire(payload_bytes as u32);
+    let (frame, after) = out.split_at_mut_checked(crc_at).ok_or(NoRoom)?;
+    let frame_crc = after.first_chunk_mut::<CRC_BYTES>().ok_or(NoRoom)?;
+
+    let mut header_bytes = [0; HEADER_BYTES_MAX];
+    let (prefix, fields) = header_bytes
+        .split_first_chunk_mut::<PREFIX_BYTES>()
+        .ok_or(NoRoom)?;
     // FIELDS_BYTES_MAX fits: there is always room.
-    let fields = postcard::to_slice(&wire, &mut bytes[PREFIX_BYTES..])
+    let fields = postcard::to_slice(&header.wire(payload_bytes as u32), fields)
         .map_err(|_| NoRoom)?
         .len();
-    let header_bytes = PREFIX_BYTES + fields + 2;
-    bytes[..2].copy_from_slice(&SYNC);
-    bytes[2] = VERSION;
-    bytes[3] = header_bytes as u8;
-    let crc = HEADER_CRC.checksum(&bytes[..header_bytes - 2]);
-    bytes[header_bytes - 2..header_bytes].copy_from_slice(&crc.to_le_bytes());
-    let start = HEADER_BYTES_MAX - header_bytes;
-    out[start..HEADER_BYTES_MAX].copy_from_slice(&bytes[..header_bytes]);
-    let crc = FRAME_CRC.checksum(&out[start..crc_at]);
-    out[crc_at..end].copy_from_slice(&crc.to_le_bytes());
-    Ok(start..end)
+    let length = PREFIX_BYTES + fields + 2;
+    *prefix = [SYNC[0], SYNC[1], VERSION, length as u8];
+    let (checked, after) = header_bytes
+        .split_at_mut_checked(PREFIX_BYTES + fields)
+        .ok_or(NoRoom)?;
+    *after.first_chunk_mut().ok_or(NoRoom)? = CRC_16.checksum(checked).to_le_bytes();
+
+    let start = HEADER_BYTES_MAX.checked_sub(length).ok_or(NoRoom)?;
+    let frame = frame.get_mut(start..).ok_or(NoRoom)?;
+    for (to, from) in frame.iter_mut().zip(&header_bytes).take(length) {
+        *to = *from;
+    }
+    *frame_crc = crc_32(frame).to_le_bytes();
+    Ok(start..crc_at + CRC_BYTES)
 }
 
 /// A whole, undamaged frame.
@@ -315,7 +316,7 @@ impl<'i> Frame<'i> {
         }
         let header = bytes.get(..header_bytes).ok_or(FrameError::Incomplete)?;
         let (fields, crc) = header.split_at(header_bytes - 2);
-        if HEADER_CRC.checksum(fields).to_le_bytes() != *crc {
+        if CRC_16.checksum(fields).to_le_bytes() != *crc {
             return Err(FrameError::HeaderDamaged);
         }
         let (wire, rest) = postcard::take_from_bytes::<Wire>(&fields[PREFIX_BYTES..])
@@ -331,7 +332,7 @@ impl<'i> Frame<'i> {
         let crc_at = header_bytes + payload_bytes;
         let end = crc_at + CRC_BYTES;
         let frame = bytes.get(..end).ok_or(FrameError::Incomplete)?;
-        if FRAME_CRC.checksum(&frame[..crc_at]).to_le_bytes() != frame[crc_at..] {
+        if crc_32(&frame[..crc_at]).to_le_bytes() != frame[crc_at..] {
             return Err(FrameError::Damaged(end as u32));
         }
         Ok(Self {

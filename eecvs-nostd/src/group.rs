@@ -4,10 +4,12 @@
 //! The window holds a list per segment of 32 columns. One segment at a time is dealt into 32
 //! column lists; since the segment's list is newest first, each column's comes out oldest first.
 
+use core::mem;
+
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::phase::PhaseScale;
 use crate::transform::Impulse;
-use crate::window::{Slot, Window};
+use crate::window::{Head, SEGMENT_PIXELS, Slot, Window};
 
 /// A pixel with events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,17 +27,40 @@ pub struct Pixel {
     head: u32,
 }
 
+/// What a column of the current segment holds.
+#[derive(Debug, Clone, Copy)]
+struct Column {
+    /// Index + 1 of its first event; 0 where it has none.
+    head: u32,
+    tally: Tally,
+}
+
+impl Column {
+    const EMPTY: Self = Self { head: 0, tally: 0 };
+}
+
+/// ON events in the lower half, all events in the upper one: a window has no more events than a
+/// [`Head`] counts.
+#[cfg(all(target_os = "none", target_pointer_width = "32"))]
+type Tally = u32;
+#[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
+type Tally = u64;
+const _: () = assert!(2 * size_of::<Head>() == size_of::<Tally>());
+
 /// The walk over a window's pixels.
 #[derive(Debug)]
 pub struct Group {
     cursor: usize,
+    /// First of the 32 segments at hand.
+    first_segment: u32,
+    /// Those of them still to be visited.
+    segments: u32,
     segment_x: u16,
     segment_y: u16,
     /// Columns of the current segment still to be visited.
     columns: u32,
-    heads: [u32; 32],
-    on: [u32; 32],
-    events: [u32; 32],
+    /// Empty where `columns` has no bit.
+    column: [Column; 32],
 }
 
 impl Group {
@@ -44,60 +69,83 @@ impl Group {
     pub const fn new() -> Self {
         Self {
             cursor: 0,
+            first_segment: 0,
+            segments: 0,
             segment_x: 0,
             segment_y: 0,
             columns: 0,
-            heads: [0; 32],
-            on: [0; 32],
-            events: [0; 32],
+            column: [Column::EMPTY; 32],
         }
     }
 
     /// Starts over, for the next window.
     pub const fn restart(&mut self) {
-        self.cursor = 0;
-        self.columns = 0;
+        *self = Self::new();
     }
 
-    /// The current pixel; `None` after the last.
-    pub fn current(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
+    /// The next pixel; `None` after the last.
+    // A tally is wider than 32 bits on some targets.
+    #[allow(clippy::unnecessary_cast)]
+    #[inline]
+    pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
         if self.columns == 0 {
-            let (segment, head) = window.take_segment(&mut self.cursor)?;
-            (self.segment_x, self.segment_y) = window.segment_origin(segment);
-            self.deal(head, window.slots());
+            self.next_segment(window)?;
         }
-        let column = self.columns.trailing_zeros() as usize;
+        let column = self.columns.trailing_zeros();
+        self.columns &= self.columns - 1;
+        let Column { head, tally } =
+            mem::replace(&mut self.column[column as usize % 32], Column::EMPTY);
+        let on = (tally & Tally::from(Head::MAX)) as u32;
+        let events = (tally >> Head::BITS) as u32;
         Some(Pixel {
             x: self.segment_x + column as u16,
             y: self.segment_y,
-            on: self.on[column],
-            off: self.events[column] - self.on[column],
-            head: self.heads[column],
+            on,
+            off: events - on,
+            head,
         })
     }
 
-    /// Goes on to the next pixel.
-    pub const fn advance(&mut self) {
-        self.columns &= self.columns.wrapping_sub(1);
+    /// Makes the pixel that [`Self::next`] gave last the next one again.
+    pub const fn put_back(&mut self, pixel: Pixel) {
+        let column = pixel.x % SEGMENT_PIXELS;
+        self.columns |= 1 << column;
+        self.column[column as usize] = Column {
+            head: pixel.head,
+            tally: ((pixel.on + pixel.off) as Tally) << Head::BITS | pixel.on as Tally,
+        };
     }
 
+    fn next_segment(&mut self, window: &mut Window<'_>) -> Option<()> {
+        if self.segments == 0 {
+            (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;
+        }
+        let segment = self.first_segment + self.segments.trailing_zeros();
+        self.segments &= self.segments - 1;
+        (self.segment_x, self.segment_y) = window.segment_origin(segment);
+        let head = window.take_head(segment);
+        self.deal(head, window.slots());
+        Some(())
+    }
+
+    /// Turns a segment's list into one for each column.
+    #[inline]
     fn deal(&mut self, mut head: u32, slots: &mut [Slot]) {
-        while head != 0 {
-            let slot = &mut slots[head as usize - 1];
-            let column = slot.column() as usize;
+        let mut columns = 0;
+        // A list ends with 0, whose index there is none of.
+        while let Some(slot) = slots.get_mut(head.wrapping_sub(1) as usize) {
+            let column = slot.column();
+            columns |= 1 << column;
+            let column = &mut self.column[column as usize];
             let next = slot.next();
-            if (self.columns >> column) & 1 == 0 {
-                self.columns |= 1 << column;
-                self.heads[column] = 0;
-                self.on[column] = 0;
-                self.events[column] = 0;
-            }
-            *slot = slot.with_next(self.heads[column]);
-            self.heads[column] = head;
-            self.on[column] += u32::from(slot.is_on());
-            self.events[column] += 1;
+            *slot = slot.with_next(column.head);
+            *column = Column {
+                head,
+                tally: column.tally + (1 << Head::BITS) + Tally::from(slot.is_on()),
+            };
             head = next;
         }
+        self.columns = columns;
     }
 }
 
@@ -130,10 +178,9 @@ impl<'s> Chunks<'s> {
     pub fn fill<'i>(&mut self, impulses: &'i mut [Impulse; CHUNK_EVENTS]) -> &'i [Impulse] {
         let mut len = 0;
         for impulse in impulses.iter_mut() {
-            if self.next == 0 {
+            let Some(slot) = self.slots.get(self.next.wrapping_sub(1) as usize) else {
                 break;
-            }
-            let slot = self.slots[self.next as usize - 1];
+            };
             *impulse = Impulse {
                 phase: self.scale.phase(slot.offset_us()),
                 sign: slot.sign(),

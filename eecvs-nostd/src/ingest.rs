@@ -46,11 +46,11 @@ pub trait Exchange<'b> {
     /// A window that is free, if there is one.
     fn free(&mut self) -> Option<Window<'b>>;
 
-    /// Hands over work, or gives it back where there is no room.
-    ///
-    /// # Errors
-    /// The work itself.
-    fn hand_over(&mut self, work: Work<'b>) -> Result<(), Work<'b>>;
+    /// Whether a further piece of work can be handed over.
+    fn has_room(&self) -> bool;
+
+    /// Hands over work; asked only where there is room.
+    fn hand_over(&mut self, work: Work<'b>);
 }
 
 /// What was received, since the start; all wrap.
@@ -173,7 +173,10 @@ impl<'b> Ingest<'b> {
                 Step::Event(event) => self.event(event, exchange) && self.go_to(Step::Input),
                 Step::Flush => self.close(exchange) && self.go_to(Step::FlushDone),
                 Step::FlushDone => {
-                    exchange.hand_over(Work::Flush(self.counts)).is_ok() && self.go_to(Step::Input)
+                    exchange.has_room() && {
+                        exchange.hand_over(Work::Flush(self.counts));
+                        self.go_to(Step::Input)
+                    }
                 }
                 Step::SetupFlush(setup) => {
                     self.close(exchange) && self.go_to(Step::SetupWindows(setup))
@@ -271,6 +274,9 @@ impl<'b> Ingest<'b> {
         if self.windows == 0 || (self.open.is_none() && self.missed == 0) {
             return true;
         }
+        if !exchange.has_room() {
+            return false;
+        }
         let Some(window) = self.window(exchange) else {
             return false;
         };
@@ -280,18 +286,10 @@ impl<'b> Ingest<'b> {
             return true;
         }
         self.next_start_us = window.next_start_us();
-        match self
-            .open
-            .take()
-            .map(|window| exchange.hand_over(Work::Window(window)))
-        {
-            None | Some(Ok(())) => true,
-            Some(Err(Work::Window(window))) => {
-                self.open = Some(window);
-                false
-            }
-            Some(Err(_)) => false,
+        if let Some(window) = self.open.take() {
+            exchange.hand_over(Work::Window(window));
         }
+        true
     }
 
     /// Takes every window out of use, then hands the setup over.
@@ -305,8 +303,10 @@ impl<'b> Ingest<'b> {
             }
             self.windows -= 1;
         }
-        let work = Work::Setup(setup, self.counts);
-        exchange.hand_over(work).is_ok() && self.go_to(Step::SettingUp)
+        exchange.has_room() && {
+            exchange.hand_over(Work::Setup(setup, self.counts));
+            self.go_to(Step::SettingUp)
+        }
     }
 }
 

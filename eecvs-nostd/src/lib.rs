@@ -15,6 +15,7 @@ extern crate std;
 
 pub mod atom;
 pub mod bits;
+mod checksum;
 pub mod density;
 pub mod descriptor;
 pub mod encoder;
@@ -34,6 +35,7 @@ pub mod quantise;
 pub mod regime;
 pub mod sensor_source;
 pub mod storage;
+pub mod trace;
 pub mod transform;
 pub mod window;
 
@@ -49,7 +51,9 @@ pub use pack::{Packing, UnpackError};
 pub use quantise::{Level, Quantiser};
 pub use regime::{Regime, Thresholds};
 pub use storage::Storage;
+pub use trace::{Stage, Trace};
 pub use transform::Transform;
 pub use window::{
-    Closed, Counts, Push, Slot, Window, WindowBuffers, WindowConfig, bitmap_words, segments,
+    Closed, Counts, Head, Push, Slot, Taken, Window, WindowBuffers, WindowConfig, bitmap_words,
+    segments,
 };

@@ -3,13 +3,14 @@
 use crate::encoder::{Config, Encoder, Scratch, SetupError};
 use crate::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
 use crate::transform::Impulse;
-use crate::window::{Slot, WindowBuffers};
+use crate::window::{Head, Slot, WindowBuffers};
 
 /// Every buffer of an encoder, zeroed, for `.bss`.
 ///
-/// `EVENTS` of a window: 8 bytes each. `SEGMENTS` = [`crate::segments`] of the sensor: 4 bytes
-/// each. `BITMAP` = [`crate::bitmap_words`] of them: 4 bytes each. `NUMBERS` = 2K for the largest
-/// K in use: 20 bytes each. A chunk of 255 events takes 8 bytes each.
+/// `EVENTS` of a window: 8 bytes each. `SEGMENTS` = [`crate::segments`] of the sensor: 2 bytes
+/// each on a microcontroller, 4 on a host. `BITMAP` = [`crate::bitmap_words`] of them: 4 bytes
+/// each. `NUMBERS` = 2K for the largest K in use: 20 bytes each. A chunk of 255 events takes 8
+/// bytes each.
 #[derive(Debug)]
 pub struct Storage<
     const EVENTS: usize,
@@ -18,7 +19,7 @@ pub struct Storage<
     const NUMBERS: usize,
 > {
     slots: [Slot; EVENTS],
-    heads: [u32; SEGMENTS],
+    heads: [Head; SEGMENTS],
     bitmap: [u32; BITMAP],
     impulses: [Impulse; CHUNK_EVENTS],
     sums: [Sum; NUMBERS],

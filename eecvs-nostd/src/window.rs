@@ -1,8 +1,13 @@
 //! The open window: its event buffer and its closing rule.
 
+use core::num::NonZeroU32;
+
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
-use crate::event::{Event, Polarity, Sensor};
+use crate::event::{Event, Sensor};
+use crate::evt2::{
+    EVENTS_END, Evt2Decoder, KIND_SHIFT, SIDE_BITS, SIDE_MASK, SPAN_US, Word, X_SHIFT, low_us,
+};
 
 /// One buffered event: 8 bytes. All zero is a valid empty slot, so buffers live in `.bss`.
 #[derive(
@@ -25,6 +30,16 @@ impl Slot {
         offset_us: 0,
         link: 0,
     };
+
+    /// `next` as [`Self::next`], `on` 0 or 1.
+    #[inline]
+    const fn new(offset_us: u32, next: u32, x: u32, on: u32) -> Self {
+        let column = x % SEGMENT_PIXELS as u32;
+        Self {
+            offset_us,
+            link: (next << LINK_SHIFT) | (column << 1) | on,
+        }
+    }
 
     pub(crate) const fn offset_us(self) -> u32 {
         self.offset_us
@@ -57,12 +72,27 @@ impl Slot {
     }
 }
 
+const COLUMN_BITS: u32 = 5;
 /// Columns of a segment: the run of pixels whose events share one list.
-pub const SEGMENT_PIXELS: u16 = 32;
+pub const SEGMENT_PIXELS: u16 = 1 << COLUMN_BITS;
 
 /// Most events that a window's buffer can hold: keeps |c|^2 of any pixel within 64 bits, and the
 /// 26 bits of a link address them.
 pub const EVENTS_MAX: usize = (1 << 24) - 1;
+
+/// Index + 1 of a slot. On a microcontroller, whose windows are short, 16 bits halve the heads.
+#[cfg(all(target_os = "none", target_pointer_width = "32"))]
+pub type Head = u16;
+/// Index + 1 of a slot.
+#[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
+pub type Head = u32;
+
+/// Most slots of a window on this target: [`EVENTS_MAX`], or what a [`Head`] can address.
+pub const SLOTS_MAX: usize = if (Head::MAX as usize) < EVENTS_MAX {
+    Head::MAX as usize
+} else {
+    EVENTS_MAX
+};
 
 /// Segments of a sensor: rows of ceil(width / 32).
 #[must_use]
@@ -77,9 +107,6 @@ pub const fn bitmap_words(segments: usize) -> usize {
     words + words.div_ceil(32)
 }
 
-/// Index + 1 of a segment's newest event.
-pub type Head = u32;
-
 /// Which sensor, and how long a window is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -93,10 +120,10 @@ pub struct WindowConfig {
 /// Memory lent to a window, zeroed.
 #[derive(Debug)]
 pub struct WindowBuffers<'b> {
-    /// The events; as many as the window may hold.
+    /// The events; as many as the window may hold, at most [`SLOTS_MAX`].
     pub slots: &'b mut [Slot],
-    /// [`segments`] words: the newest event of each segment.
-    pub heads: &'b mut [u32],
+    /// [`segments`] of them: the newest event of each segment.
+    pub heads: &'b mut [Head],
     /// [`bitmap_words`] words: which segments have events.
     pub bitmap: &'b mut [u32],
 }
@@ -163,6 +190,19 @@ pub enum Push {
     Closed,
 }
 
+/// What [`Window::push_words`] took.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Taken {
+    /// Words taken from the front. Fewer than there were: the window is closed, and the next word
+    /// is the event that is not in it.
+    pub words: usize,
+    /// Events among them, late ones and those outside of the sensor included.
+    pub events: u32,
+    /// Words among them that were no events and no times, and events before the first time.
+    pub ignored: u32,
+}
+
 /// Events that are in no window, by cause, since the last frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -214,11 +254,14 @@ pub struct Closed {
 #[derive(Debug)]
 pub struct Window<'b> {
     config: WindowConfig,
-    buffers: WindowBuffers<'b>,
+    slots: &'b mut [Slot],
+    /// Exactly as many as the sensor has segments.
+    heads: &'b mut [Head],
+    marks: Marks<'b>,
     /// Segments in a row.
-    stride: u32,
+    stride: NonZeroU32,
     len: u32,
-    latest_us: u32,
+    latest: Latest,
     /// Start of the open window, or of the next where none is open; None before the first event.
     start_us: Option<u64>,
     closed: Option<Closed>,
@@ -227,26 +270,40 @@ pub struct Window<'b> {
 
 impl<'b> Window<'b> {
     /// A window over lent buffers, or `None` where they are too small for the sensor, there is no
-    /// room for an event, T is 0, or a side of the sensor is 0 or above [`Sensor::SIDE_MAX`].
+    /// room for an event, more slots than
+    /// [`SLOTS_MAX`], T is 0, or a side of the sensor is 0 or above [`Sensor::SIDE_MAX`].
     #[must_use]
     pub const fn new(config: WindowConfig, buffers: WindowBuffers<'b>) -> Option<Self> {
         let segments = segments(config.sensor.width, config.sensor.height);
+        let WindowBuffers {
+            slots,
+            heads,
+            bitmap,
+        } = buffers;
         // A frame of a sensor that `Sensor::new` refuses would be refused by every reader.
         if Sensor::new(config.sensor.width, config.sensor.height).is_none()
             || config.window_us == 0
-            || buffers.slots.is_empty()
-            || buffers.slots.len() > EVENTS_MAX
-            || buffers.heads.len() < segments
-            || buffers.bitmap.len() < bitmap_words(segments)
+            || slots.is_empty()
+            || slots.len() > SLOTS_MAX
+            || heads.len() < segments
+            || bitmap.len() < bitmap_words(segments)
         {
             return None;
         }
+        let stride = config.sensor.width.div_ceil(SEGMENT_PIXELS) as u32;
+        let Some(stride) = NonZeroU32::new(stride) else {
+            return None;
+        };
+        let (heads, _) = heads.split_at_mut(segments);
+        let (bitmap, summary) = bitmap.split_at_mut(segments.div_ceil(32));
         Some(Self {
             config,
-            buffers,
-            stride: config.sensor.width.div_ceil(SEGMENT_PIXELS) as u32,
+            slots,
+            heads,
+            marks: Marks { bitmap, summary },
+            stride,
             len: 0,
-            latest_us: 0,
+            latest: Latest::NONE,
             start_us: None,
             closed: None,
             counts: Counts::NONE,
@@ -279,12 +336,12 @@ impl<'b> Window<'b> {
                 return Push::Closed;
             }
             // Empty windows are skipped: the open one moves along the grid.
-            offset_us = since_start % window_us;
+            offset_us = since_start.checked_rem(window_us).unwrap_or(0);
             self.start_us = Some(event.t_us - offset_us);
         }
         let offset_us = offset_us as u32;
-        if self.len as usize == self.buffers.slots.len() {
-            let duration_us = offset_us.max(self.latest_us.saturating_add(1));
+        if self.len as usize >= self.slots.len() {
+            let duration_us = offset_us.max(self.latest_us(offset_us).saturating_add(1));
             self.close(duration_us, true, Some(event.t_us));
             return Push::Closed;
         }
@@ -292,27 +349,153 @@ impl<'b> Window<'b> {
         Push::Stored
     }
 
+    #[inline]
     fn store(&mut self, event: Event, offset_us: u32) {
         let x = u32::from(event.x);
-        let segment = (u32::from(event.y) * self.stride + x / u32::from(SEGMENT_PIXELS)) as usize;
-        let head = &mut self.buffers.heads[segment];
-        let polarity = u32::from(event.polarity == Polarity::On);
-        let column = x % u32::from(SEGMENT_PIXELS);
-        let link = (*head << LINK_SHIFT) | (column << 1) | polarity;
-        if *head == 0 {
-            let word = segment / 32;
-            self.buffers.bitmap[word] |= 1 << (segment % 32);
-            self.buffers.bitmap[self.words() + word / 32] |= 1 << (word % 32);
+        let segment = u32::from(event.y) * self.stride.get() + x / u32::from(SEGMENT_PIXELS);
+        let (Some(head), Some(slot)) = (
+            self.heads.get_mut(segment as usize),
+            self.slots.get_mut(self.len as usize),
+        ) else {
+            debug_assert!(false, "the sensor and the capacity were checked");
+            return;
+        };
+        let next = index(*head);
+        if next == 0 {
+            self.marks.add(segment);
         }
-        self.buffers.slots[self.len as usize] = Slot { offset_us, link };
+        *slot = Slot::new(offset_us, next, x, event.polarity as u32);
         self.len += 1;
-        self.buffers.heads[segment] = self.len;
-        self.latest_us = self.latest_us.max(offset_us);
+        *head = self.len as Head;
+        self.latest.event_us = self.latest.event_us.max(offset_us);
     }
 
-    /// Words of the bitmap's first level.
-    const fn words(&self) -> usize {
-        segments(self.config.sensor.width, self.config.sensor.height).div_ceil(32)
+    /// Adds the events of EVT 2.0 words, little-endian, up to the one that closes the window: what
+    /// [`Evt2Decoder::decode`] and [`Self::push`] do a word at a time, at a third of their cost.
+    ///
+    /// Where fewer words are taken than there are, encode the window and push the rest again.
+    pub fn push_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> Taken {
+        let mut taken = Taken::default();
+        while taken.words < words.len() {
+            let rest = &words[taken.words..];
+            if let Some(span_us) = self.whole_span(decoder) {
+                let before = self.len;
+                taken.words += self.store_words(decoder, span_us, rest);
+                taken.events += self.len - before;
+            }
+            // What ended the run: anything out of the ordinary.
+            let Some(word) = words.get(taken.words) else {
+                break;
+            };
+            match decoder.decode(u32::from_le_bytes(*word)) {
+                Word::Event(event) => {
+                    if self.push(event) == Push::Closed {
+                        break;
+                    }
+                    taken.events += 1;
+                }
+                Word::Time => {}
+                Word::Untimed | Word::Other => taken.ignored += 1,
+            }
+            taken.words += 1;
+        }
+        taken
+    }
+
+    /// Offset of the decoder's current time, where it and all times that a word can add to it lie
+    /// in the open window.
+    #[inline]
+    fn whole_span(&self, decoder: &Evt2Decoder) -> Option<u32> {
+        if self.closed.is_some() {
+            return None;
+        }
+        let since_start = decoder.span_us()?.checked_sub(self.start_us?)?;
+        let since_start = u32::try_from(since_start).ok()?;
+        (since_start < self.whole_spans_end_us()).then_some(since_start)
+    }
+
+    /// A span whose offset is below lies in the window as a whole.
+    #[inline]
+    const fn whole_spans_end_us(&self) -> u32 {
+        self.config.window_us.saturating_sub(SPAN_US - 1)
+    }
+
+    /// Stores events on the sensor while there are slots, `span_us` being the offset of the
+    /// decoder's time, and follows that time while it lies in the window; returns how many words
+    /// it took.
+    #[inline(never)]
+    fn store_words(
+        &mut self,
+        decoder: &mut Evt2Decoder,
+        mut span_us: u32,
+        words: &[[u8; 4]],
+    ) -> usize {
+        let end_us = self.whole_spans_end_us();
+        // x is compared where it is the upper bits of a word.
+        let width = u32::from(self.config.sensor.width) << (32 - SIDE_BITS);
+        let stride = self.stride.get();
+        let heads = &mut *self.heads;
+        let slots = &mut *self.slots;
+        let mut len = self.len;
+        let mut rest = words;
+        loop {
+            let free = slots.get_mut(len as usize..).unwrap_or_default();
+            let span_at = len;
+            for (word, slot) in rest.iter().zip(free) {
+                let word = u32::from_le_bytes(*word);
+                if word >= EVENTS_END || word << (32 - SIDE_BITS - X_SHIFT) >= width {
+                    break;
+                }
+                // An x on the sensor makes the segment's index tell whether y is.
+                let segment = (word & SIDE_MASK) * stride
+                    + ((word >> (X_SHIFT + COLUMN_BITS)) & (SIDE_MASK >> COLUMN_BITS));
+                let Some(head) = heads.get_mut(segment as usize) else {
+                    break;
+                };
+                let next = index(*head);
+                if next == 0 {
+                    self.marks.add(segment);
+                }
+                *slot = Slot::new(
+                    span_us + low_us(word),
+                    next,
+                    word >> X_SHIFT,
+                    word >> KIND_SHIFT,
+                );
+                len += 1;
+                *head = len as Head;
+            }
+            self.latest.span(span_us, span_at, len);
+            rest = rest.get((len - span_at) as usize..).unwrap_or_default();
+            let Some((word, after)) = rest.split_first() else {
+                break;
+            };
+            let Some(step_us) = decoder.advance(u32::from_le_bytes(*word)) else {
+                break;
+            };
+            rest = after;
+            match span_us.checked_add(step_us) {
+                Some(next_us) if next_us < end_us => span_us = next_us,
+                _ => break,
+            }
+        }
+        self.len = len;
+        words.len() - rest.len()
+    }
+
+    /// Largest offset of the events held, or less where that is below `at_least_us` anyway.
+    fn latest_us(&self, at_least_us: u32) -> u32 {
+        let Latest {
+            event_us,
+            span_us,
+            span_at,
+        } = self.latest;
+        if span_us.saturating_add(SPAN_US) <= at_least_us {
+            return event_us;
+        }
+        let slots = self.slots.get(span_at as usize..self.len as usize);
+        let offsets = slots.unwrap_or_default().iter().map(|slot| slot.offset_us);
+        offsets.fold(event_us, u32::max)
     }
 
     fn close(&mut self, duration_us: u32, truncated: bool, next_start_us: Option<u64>) {
@@ -382,44 +565,114 @@ impl<'b> Window<'b> {
 
     /// Opens the next window; the segments must have been taken.
     pub(crate) fn reopen(&mut self) {
-        debug_assert!(self.buffers.bitmap.iter().all(|word| *word == 0));
+        debug_assert!(self.marks.bitmap.iter().all(|word| *word == 0));
         self.len = 0;
-        self.latest_us = 0;
+        self.latest = Latest::NONE;
         self.closed = None;
     }
 
-    /// Takes the next segment that has events: its index and its newest event's list.
+    /// Takes the next 32 segments of which some have events: the first one's index, and a bit for
+    /// each.
     ///
     /// The cost follows the segments that have events and 1/1024 of all segments.
-    pub(crate) fn take_segment(&mut self, cursor: &mut usize) -> Option<(u32, u32)> {
-        let words = self.words();
-        let (first, second) = self.buffers.bitmap.split_at_mut(words);
-        while let Some(group) = second.get_mut(*cursor) {
-            if *group == 0 {
+    #[inline]
+    pub(crate) fn take_segments(&mut self, cursor: &mut usize) -> Option<(u32, u32)> {
+        while let Some(words) = self.marks.summary.get_mut(*cursor) {
+            if *words == 0 {
                 *cursor += 1;
                 continue;
             }
-            let word = *cursor * 32 + group.trailing_zeros() as usize;
-            let bits = &mut first[word];
-            let segment = word * 32 + bits.trailing_zeros() as usize;
-            *bits &= *bits - 1;
-            if *bits == 0 {
-                *group &= *group - 1;
-            }
-            let head = core::mem::take(&mut self.buffers.heads[segment]);
-            return Some((segment as u32, head));
+            let word = *cursor * 32 + words.trailing_zeros() as usize;
+            *words &= *words - 1;
+            let bits = core::mem::take(self.marks.bitmap.get_mut(word)?);
+            return Some((word as u32 * 32, bits));
         }
         None
     }
 
+    /// Takes a segment's list: index + 1 of its newest event.
+    #[inline]
+    pub(crate) fn take_head(&mut self, segment: u32) -> u32 {
+        let head = self.heads.get_mut(segment as usize);
+        head.map_or(0, |head| index(core::mem::take(head)))
+    }
+
     /// The buffered events.
+    #[inline]
     pub(crate) const fn slots(&mut self) -> &mut [Slot] {
-        self.buffers.slots
+        self.slots
     }
 
     /// Position of a segment's first pixel.
-    pub(crate) const fn segment_origin(&self, segment: u32) -> (u16, u16) {
-        let x = (segment % self.stride) as u16 * SEGMENT_PIXELS;
-        (x, (segment / self.stride) as u16)
+    #[inline]
+    pub(crate) fn segment_origin(&self, segment: u32) -> (u16, u16) {
+        let y = segment / self.stride;
+        let x = (segment - y * self.stride.get()) * u32::from(SEGMENT_PIXELS);
+        (x as u16, y as u16)
+    }
+}
+
+/// What is known of the largest offset: enough to find it in the slots when it is asked for.
+///
+/// Events of words are not looked at one by one as they come; the latest of them is in the latest
+/// span of time, the events that share a `TIME_HIGH`.
+#[derive(Debug, Clone, Copy)]
+struct Latest {
+    /// Largest offset of the events that were pushed as events.
+    event_us: u32,
+    /// Offset of the latest span that had events.
+    span_us: u32,
+    /// Slot of its first event.
+    span_at: u32,
+}
+
+impl Latest {
+    const NONE: Self = Self {
+        event_us: 0,
+        span_us: 0,
+        span_at: 0,
+    };
+
+    /// The slots `from..to` were filled in this span.
+    #[inline]
+    const fn span(&mut self, span_us: u32, from: u32, to: u32) {
+        if from < to && span_us > self.span_us {
+            self.span_us = span_us;
+            self.span_at = from;
+        }
+    }
+}
+
+/// What a head holds, whatever its width here.
+#[allow(clippy::unnecessary_cast)]
+#[inline]
+const fn index(head: Head) -> u32 {
+    head as u32
+}
+
+/// Which segments have events, in two levels.
+#[derive(Debug)]
+struct Marks<'b> {
+    /// One bit a segment.
+    bitmap: &'b mut [u32],
+    /// One bit a word of `bitmap`.
+    summary: &'b mut [u32],
+}
+
+impl Marks<'_> {
+    /// Notes that a segment has events. Not inlined: it is rarer than events, whose loop needs
+    /// every register.
+    #[inline(never)]
+    fn add(&mut self, segment: u32) {
+        let word = segment / 32;
+        let Some(bits) = self.bitmap.get_mut(word as usize) else {
+            return;
+        };
+        if *bits == 0
+            && let Some(words) = self.summary.get_mut(word as usize / 32)
+        {
+            *words |= 1 << (word % 32);
+        }
+        *bits |= 1 << (segment % 32);
     }
 }

@@ -77,8 +77,13 @@ impl Exchange<'static> for Queues {
         self.free.dequeue()
     }
 
-    fn hand_over(&mut self, work: Work<'static>) -> Result<(), Work<'static>> {
-        self.work.enqueue(work)
+    fn has_room(&self) -> bool {
+        self.work.ready()
+    }
+
+    fn hand_over(&mut self, work: Work<'static>) {
+        // There is room.
+        let _ = self.work.enqueue(work);
     }
 }
 

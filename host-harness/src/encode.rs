@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
 use eecvs_nostd::transform::Impulse;
 use eecvs_nostd::{
-    Config, Encoder, OUTPUT_BYTES_MIN, Push, Scratch, Sensor, SetupError, Slot, Transform,
+    Config, Encoder, Head, OUTPUT_BYTES_MIN, Push, Scratch, Sensor, SetupError, Slot, Transform,
     WindowBuffers, bitmap_words, segments,
 };
 use serde::Serialize;
@@ -21,7 +21,7 @@ pub const WINDOW_EVENTS: usize = 1 << 20;
 #[derive(Debug)]
 pub struct HostStorage {
     slots: Vec<Slot>,
-    heads: Vec<u32>,
+    heads: Vec<Head>,
     bitmap: Vec<u32>,
     impulses: Box<[Impulse; CHUNK_EVENTS]>,
     sums: Vec<Sum>,
