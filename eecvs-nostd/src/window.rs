@@ -46,11 +46,16 @@ impl Slot {
     }
 
     pub(crate) const fn with_next(self, next: u32) -> Self {
-        let kept = self.link & ((1 << LINK_SHIFT) - 1);
+        let kept = self.column_and_sign();
         Self {
             offset_us: self.offset_us,
             link: (next << LINK_SHIFT) | kept,
         }
+    }
+
+    /// 2 (x modulo 32), plus 1 where it is ON.
+    pub(crate) const fn column_and_sign(self) -> u32 {
+        self.link & ((1 << LINK_SHIFT) - 1)
     }
 
     /// x modulo 32.
@@ -63,7 +68,7 @@ impl Slot {
     }
 
     pub(crate) const fn sign(self) -> i32 {
-        (self.link & 1) as i32 * 2 - 1
+        self.is_on() as i32 * 2 - 1
     }
 }
 
@@ -578,7 +583,7 @@ impl Latest {
 /// What a head holds, whatever its width here.
 #[allow(clippy::unnecessary_cast)]
 #[inline]
-const fn index(head: Head) -> u32 {
+pub(crate) const fn index(head: Head) -> u32 {
     head as u32
 }
 
