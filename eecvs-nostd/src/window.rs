@@ -222,8 +222,8 @@ pub struct Window<'b> {
 
 impl<'b> Window<'b> {
     /// A window over lent buffers, or `None` where they are too small for the sensor, there is no
-    /// room for an event, more slots than
-    /// [`SLOTS_MAX`], T is 0, or a side of the sensor is 0 or above [`Sensor::SIDE_MAX`].
+    /// room for an event, there are more than [`SLOTS_MAX`] slots, T is 0, or a side of the sensor
+    /// is 0 or above [`Sensor::SIDE_MAX`].
     #[must_use]
     pub const fn new(config: WindowConfig, buffers: WindowBuffers<'b>) -> Option<Self> {
         let segments = segments(config.sensor.width, config.sensor.height);
@@ -323,7 +323,8 @@ impl<'b> Window<'b> {
     }
 
     /// Adds the events of EVT 2.0 words, little-endian, up to the one that closes the window: what
-    /// [`Evt2Decoder::decode`] and [`Self::push`] do a word at a time, at a third of their cost.
+    /// [`Evt2Decoder::decode`] and [`Self::push`] do a word at a time, at less than half of their
+    /// cost.
     ///
     /// Where fewer words are taken than there are, encode the window and push the rest again.
     pub fn push_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> Taken {
