@@ -32,6 +32,7 @@ timeout 300 qemu-system-arm -M netduinoplus2 -display none -monitor none -serial
     tail -n 5 "$counts" >&2
     exit 1
 }
+tool verify "$counts" target/cuts
 tool table "$counts"
 case $action in
     --save) tool save "$counts" instructions.json ;;

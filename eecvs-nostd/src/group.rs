@@ -9,7 +9,7 @@ use core::mem;
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::phase::PhaseScale;
 use crate::transform::Impulse;
-use crate::window::{Head, SEGMENT_PIXELS, Slot, Window};
+use crate::window::{Head, SEGMENT_PIXELS, Slot, Window, index};
 
 /// A pixel with events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,26 +27,6 @@ pub struct Pixel {
     head: u32,
 }
 
-/// What a column of the current segment holds.
-#[derive(Debug, Clone, Copy)]
-struct Column {
-    /// Index + 1 of its first event; 0 where it has none.
-    head: u32,
-    tally: Tally,
-}
-
-impl Column {
-    const EMPTY: Self = Self { head: 0, tally: 0 };
-}
-
-/// ON events in the lower half, all events in the upper one: a window has no more events than a
-/// [`Head`] counts.
-#[cfg(all(target_os = "none", target_pointer_width = "32"))]
-type Tally = u32;
-#[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
-type Tally = u64;
-const _: () = assert!(2 * size_of::<Head>() == size_of::<Tally>());
-
 /// The walk over a window's pixels.
 #[derive(Debug)]
 pub struct Group {
@@ -59,8 +39,10 @@ pub struct Group {
     segment_y: u16,
     /// Columns of the current segment still to be visited.
     columns: u32,
-    /// Empty where `columns` has no bit.
-    column: [Column; 32],
+    /// By column, index + 1 of its first event; 0 where `columns` has no bit.
+    heads: [u32; 32],
+    /// By column, OFF and ON events: no more than a window has slots; 0 where it has none.
+    counts: [Head; 64],
 }
 
 impl Group {
@@ -74,7 +56,8 @@ impl Group {
             segment_x: 0,
             segment_y: 0,
             columns: 0,
-            column: [Column::EMPTY; 32],
+            heads: [0; 32],
+            counts: [0; 64],
         }
     }
 
@@ -84,36 +67,30 @@ impl Group {
     }
 
     /// The next pixel; `None` after the last.
-    // A tally is wider than 32 bits on some targets.
-    #[allow(clippy::unnecessary_cast)]
     #[inline]
     pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
         if self.columns == 0 {
             self.next_segment(window)?;
         }
         let column = self.columns.trailing_zeros();
-        self.columns &= self.columns - 1;
-        let Column { head, tally } =
-            mem::replace(&mut self.column[column as usize % 32], Column::EMPTY);
-        let on = (tally & Tally::from(Head::MAX)) as u32;
-        let events = (tally >> Head::BITS) as u32;
+        self.columns &= self.columns.wrapping_sub(1);
+        let i = column as usize % 32;
         Some(Pixel {
             x: self.segment_x + column as u16,
             y: self.segment_y,
-            on,
-            off: events - on,
-            head,
+            on: index(mem::take(&mut self.counts[2 * i + 1])),
+            off: index(mem::take(&mut self.counts[2 * i])),
+            head: mem::take(&mut self.heads[i]),
         })
     }
 
     /// Makes the pixel that [`Self::next`] gave last the next one again.
     pub const fn put_back(&mut self, pixel: Pixel) {
-        let column = pixel.x % SEGMENT_PIXELS;
-        self.columns |= 1 << column;
-        self.column[column as usize] = Column {
-            head: pixel.head,
-            tally: ((pixel.on + pixel.off) as Tally) << Head::BITS | pixel.on as Tally,
-        };
+        let i = (pixel.x % SEGMENT_PIXELS) as usize;
+        self.columns |= 1 << i;
+        self.heads[i] = pixel.head;
+        self.counts[2 * i] = pixel.off as Head;
+        self.counts[2 * i + 1] = pixel.on as Head;
     }
 
     fn next_segment(&mut self, window: &mut Window<'_>) -> Option<()> {
@@ -121,7 +98,7 @@ impl Group {
             (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;
         }
         let segment = self.first_segment + self.segments.trailing_zeros();
-        self.segments &= self.segments - 1;
+        self.segments &= self.segments.wrapping_sub(1);
         (self.segment_x, self.segment_y) = window.segment_origin(segment);
         let head = window.take_head(segment);
         self.deal(head, window.slots());
@@ -136,14 +113,10 @@ impl Group {
         while let Some(slot) = slots.get_mut(head.wrapping_sub(1) as usize) {
             let column = slot.column();
             columns |= 1 << column;
-            let column = &mut self.column[column as usize];
-            let next = slot.next();
-            *slot = slot.with_next(column.head);
-            *column = Column {
-                head,
-                tally: column.tally + (1 << Head::BITS) + Tally::from(slot.is_on()),
-            };
-            head = next;
+            self.counts[slot.column_and_sign() as usize] += 1;
+            let first = mem::replace(&mut self.heads[column as usize], head);
+            head = slot.next();
+            *slot = slot.with_next(first);
         }
         self.columns = columns;
     }

@@ -51,11 +51,16 @@ impl Slot {
     }
 
     pub(crate) const fn with_next(self, next: u32) -> Self {
-        let kept = self.link & ((1 << LINK_SHIFT) - 1);
+        let kept = self.column_and_sign();
         Self {
             offset_us: self.offset_us,
             link: (next << LINK_SHIFT) | kept,
         }
+    }
+
+    /// 2 (x modulo 32), plus 1 where it is ON.
+    pub(crate) const fn column_and_sign(self) -> u32 {
+        self.link & ((1 << LINK_SHIFT) - 1)
     }
 
     /// x modulo 32.
@@ -68,7 +73,7 @@ impl Slot {
     }
 
     pub(crate) const fn sign(self) -> i32 {
-        (self.link & 1) as i32 * 2 - 1
+        self.is_on() as i32 * 2 - 1
     }
 }
 
@@ -270,8 +275,8 @@ pub struct Window<'b> {
 
 impl<'b> Window<'b> {
     /// A window over lent buffers, or `None` where they are too small for the sensor, there is no
-    /// room for an event, more slots than
-    /// [`SLOTS_MAX`], T is 0, or a side of the sensor is 0 or above [`Sensor::SIDE_MAX`].
+    /// room for an event, there are more than [`SLOTS_MAX`] slots, T is 0, or a side of the sensor
+    /// is 0 or above [`Sensor::SIDE_MAX`].
     #[must_use]
     pub const fn new(config: WindowConfig, buffers: WindowBuffers<'b>) -> Option<Self> {
         let segments = segments(config.sensor.width, config.sensor.height);
@@ -371,7 +376,8 @@ impl<'b> Window<'b> {
     }
 
     /// Adds the events of EVT 2.0 words, little-endian, up to the one that closes the window: what
-    /// [`Evt2Decoder::decode`] and [`Self::push`] do a word at a time, at a third of their cost.
+    /// [`Evt2Decoder::decode`] and [`Self::push`] do a word at a time, at less than half of their
+    /// cost.
     ///
     /// Where fewer words are taken than there are, encode the window and push the rest again.
     pub fn push_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> Taken {
@@ -646,7 +652,7 @@ impl Latest {
 /// What a head holds, whatever its width here.
 #[allow(clippy::unnecessary_cast)]
 #[inline]
-const fn index(head: Head) -> u32 {
+pub(crate) const fn index(head: Head) -> u32 {
     head as u32
 }
 

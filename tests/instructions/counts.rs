@@ -15,17 +15,19 @@ const NOISE_PER_EVENT: u64 = 1;
 
 /// What the image prints for a cut, a transform and an M: one line of JSON.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-struct Run {
+pub struct Run {
     /// `recordings` or `emulator`.
-    origin: String,
-    cut: String,
-    transform: String,
-    m: u8,
+    pub origin: String,
+    pub cut: String,
+    pub transform: String,
+    pub m: u8,
     events: u64,
     pixels: u64,
     windows: u64,
     frames: u64,
-    bytes: u64,
+    pub bytes: u64,
+    /// Of the frames' CRCs: the frames are those of a host.
+    pub check: u32,
     /// Instructions from the first word to the last byte, nothing measured in between.
     whole: u64,
     /// Instructions by stage, measured in another run.
@@ -73,6 +75,11 @@ impl Counts {
             text.push('\n');
         }
         fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))
+    }
+
+    /// The runs.
+    pub fn runs(&self) -> impl Iterator<Item = &Run> {
+        self.0.iter()
     }
 
     fn origins(&self) -> BTreeSet<String> {
@@ -228,6 +235,7 @@ mod tests {
             windows: 1,
             frames: 1,
             bytes: 500,
+            check: 0,
             whole: 20_000,
             stages: [("pack".to_string(), pack)].into(),
         }

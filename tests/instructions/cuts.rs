@@ -14,7 +14,7 @@ use host_harness::formats::{self, EventReader};
 use host_harness::scene::{self, Preset, SceneConfig};
 
 /// Most events of a cut: the image's window holds them all.
-const EVENTS: usize = 8192;
+pub const EVENTS: usize = 8192;
 /// Window of the cuts that have several.
 const WINDOW_US: u32 = 32_768;
 

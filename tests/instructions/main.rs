@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! instructions cuts FOLDER [RECORDINGS]    cuts into FOLDER/recordings and FOLDER/emulator
+//! instructions verify COUNTS FOLDER       the image's frames are those of the cuts on this host
 //! instructions table COUNTS                COUNTS, as the image prints them, as a table
 //! instructions save COUNTS SAVED           COUNTS into SAVED; an origin that was not measured stays
 //! instructions check COUNTS SAVED          exit 1 where a stage has grown
@@ -10,6 +11,7 @@
 
 mod counts;
 mod cuts;
+mod verify;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -25,6 +27,11 @@ fn main() -> anyhow::Result<ExitCode> {
         ["cuts", folder] => cuts::write(Path::new(folder), None)?,
         ["cuts", folder, recordings] => {
             cuts::write(Path::new(folder), Some(Path::new(recordings)))?;
+        }
+        ["verify", counts, folder] => {
+            for run in Counts::read(Path::new(counts))?.runs() {
+                verify::verify(run, Path::new(folder))?;
+            }
         }
         ["table", counts] => print!("{}", Counts::read(Path::new(counts))?.table()),
         ["save", counts, saved] => {

@@ -294,7 +294,7 @@ fn main() -> ! {
                 };
                 hprintln!(
                     "{{\"origin\":\"{origin}\",\"cut\":\"{name}\",\"transform\":\"{}\",\"m\":{m},\
-                     \"events\":{},\"pixels\":{},\"windows\":{},\"frames\":{},\"bytes\":{},\
+                     \"events\":{},\"pixels\":{},\"windows\":{},\"frames\":{},\"bytes\":{},\"check\":{},\
                      \"whole\":{whole},\"stages\":{{\"ingest\":{},\"group\":{},\
                      \"accumulate\":{},\"prune\":{},\"quantise\":{},\"pack\":{},\"frame\":{}}}}}",
                     transform.name(),
@@ -303,6 +303,7 @@ fn main() -> ! {
                     output.windows,
                     output.frames,
                     output.bytes,
+                    output.check,
                     stage(Stage::Ingest),
                     stage(Stage::Group),
                     stage(Stage::Accumulate),
