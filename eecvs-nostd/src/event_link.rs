@@ -295,6 +295,18 @@ impl Receiver {
         let _ = self.buffer.push(byte);
     }
 
+    /// Takes bytes until there is something new to see; `false` where they end before.
+    #[inline]
+    pub fn fill(&mut self, mut next_byte: impl FnMut() -> Option<u8>) -> bool {
+        while self.buffer.len() < self.awaited {
+            match next_byte() {
+                Some(byte) => self.put(byte),
+                None => return false,
+            }
+        }
+        true
+    }
+
     /// The next packet of what was received, if it is whole.
     #[inline]
     pub fn next_packet(&mut self) -> Option<Packet<'_>> {
@@ -320,13 +332,13 @@ impl Receiver {
         })
     }
 
-    /// The little-endian word at offset `at` of that packet's body.
+    /// The little-endian words of that packet's body from offset `at` on.
     #[inline]
     #[must_use]
-    pub fn word(&self, at: usize) -> Option<u32> {
-        let end = self.taken.checked_sub(CRC_BYTES)?;
-        let bytes = self.buffer.get(HEAD_BYTES + at..end)?;
-        Some(u32::from_le_bytes(*bytes.first_chunk()?))
+    pub fn words(&self, at: usize) -> &[[u8; 4]] {
+        let end = self.taken.saturating_sub(CRC_BYTES);
+        let bytes = self.buffer.get(HEAD_BYTES + at..end);
+        bytes.map_or(&[], |bytes| bytes.as_chunks().0)
     }
 
     /// Gives up the packet that was returned last.

@@ -68,6 +68,13 @@ impl Evt2Decoder {
         }
     }
 
+    /// Whether events have a time: a `TIME_HIGH` has come.
+    #[inline]
+    #[must_use]
+    pub const fn has_time(&self) -> bool {
+        self.high.is_some()
+    }
+
     /// Time of the current `TIME_HIGH`, to which an event's word adds less than [`SPAN_US`].
     #[inline]
     pub(crate) const fn span_us(&self) -> Option<u64> {

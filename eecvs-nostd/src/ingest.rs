@@ -28,6 +28,17 @@ pub enum Input {
 pub trait EventSource {
     /// What comes next, `None` where nothing has come.
     fn next(&mut self) -> Option<Input>;
+
+    /// Words that come next, little-endian, where there are several in one place: they may be
+    /// taken at once instead of one by one.
+    fn words(&self) -> &[[u8; 4]] {
+        &[]
+    }
+
+    /// Leaves out the first `words` of [`EventSource::words`], which held `events` events.
+    fn skip(&mut self, words: usize, events: u32) {
+        let _ = (words, events);
+    }
 }
 
 /// What the encoding side gets to do, in order.
@@ -163,13 +174,16 @@ impl<'b> Ingest<'b> {
     ) -> Poll {
         loop {
             let went_on = match self.step {
-                Step::Input => match source.next() {
-                    None => return Poll::Idle,
-                    Some(input) => {
-                        self.take(input);
-                        true
+                Step::Input => {
+                    self.take_words(source, exchange);
+                    match source.next() {
+                        None => return Poll::Idle,
+                        Some(input) => {
+                            self.take(input);
+                            true
+                        }
                     }
-                },
+                }
                 Step::Event(event) => self.event(event, exchange) && self.go_to(Step::Input),
                 Step::Flush => self.close(exchange) && self.go_to(Step::FlushDone),
                 Step::FlushDone => {
@@ -193,6 +207,22 @@ impl<'b> Ingest<'b> {
     const fn go_to(&mut self, step: Step) -> bool {
         self.step = step;
         true
+    }
+
+    /// Takes words at once up to the first that is out of the ordinary.
+    fn take_words(&mut self, source: &mut impl EventSource, exchange: &mut impl Exchange<'b>) {
+        if self.lost_time || !self.decoder.has_time() || source.words().is_empty() {
+            return;
+        }
+        if self.window(exchange).is_none() {
+            return;
+        }
+        if let Some(window) = &mut self.open {
+            let taken = window.push_words(&mut self.decoder, source.words());
+            self.counts.events = self.counts.events.wrapping_add(taken.events);
+            self.counts.ignored = self.counts.ignored.wrapping_add(taken.ignored);
+            source.skip(taken.words, taken.events);
+        }
     }
 
     fn take(&mut self, input: Input) {

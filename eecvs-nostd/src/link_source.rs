@@ -63,10 +63,11 @@ impl Link {
     }
 
     fn word(&mut self, at: usize) -> Option<Input> {
-        let Some(word) = self.receiver.word(at) else {
+        let Some(word) = self.receiver.words(at).first() else {
             self.step = Step::Bytes;
             return None;
         };
+        let word = u32::from_le_bytes(*word);
         self.step = Step::Words(at + 4);
         self.position = self.position.wrapping_add(u32::from(is_event(word)));
         Some(Input::Word(word))
@@ -129,6 +130,20 @@ pub struct LinkSource<'l, F> {
 }
 
 impl<F: FnMut() -> Option<u8>> EventSource for LinkSource<'_, F> {
+    fn words(&self) -> &[[u8; 4]] {
+        match self.link.step {
+            Step::Words(at) => self.link.receiver.words(at),
+            Step::Bytes | Step::Packet => &[],
+        }
+    }
+
+    fn skip(&mut self, words: usize, events: u32) {
+        if let Step::Words(at) = &mut self.link.step {
+            *at += 4 * words;
+            self.link.position = self.link.position.wrapping_add(events);
+        }
+    }
+
     #[inline]
     fn next(&mut self) -> Option<Input> {
         let link = &mut *self.link;
@@ -139,8 +154,8 @@ impl<F: FnMut() -> Option<u8>> EventSource for LinkSource<'_, F> {
                 Step::Bytes => {
                     if link.receiver.next_packet().is_some() {
                         link.step = Step::Packet;
-                    } else {
-                        link.receiver.put((self.next_byte)()?);
+                    } else if !link.receiver.fill(&mut self.next_byte) {
+                        return None;
                     }
                     None
                 }
