@@ -23,7 +23,7 @@ fn the_budget_of_the_linker_script_is_true() {
         ),
         (
             "scratch",
-            numbers * (size_of::<Sum>() + size_of::<WideSum>() + size_of::<u64>()),
+            numbers * (size_of::<Sum>() + size_of::<WideSum>() + size_of::<u32>()),
         ),
         // Of a 64-bit host: pointers are narrower on the target.
         ("encoder", size_of::<WindowEncoder<'_>>()),

@@ -8,7 +8,7 @@ use crate::window::{Slot, WindowBuffers};
 ///
 /// `EVENTS` of a window: 8 bytes each. `SEGMENTS` = [`crate::segments`] of the sensor: 4 bytes
 /// each. `BITMAP` = [`crate::bitmap_words`] of them: 4 bytes each. `NUMBERS` = 2K for the largest
-/// K in use: 20 bytes each.
+/// K in use: 16 bytes each.
 #[derive(Debug)]
 pub struct Storage<
     const EVENTS: usize,
@@ -21,7 +21,7 @@ pub struct Storage<
     bitmap: [u32; BITMAP],
     sums: [Sum; NUMBERS],
     totals: [WideSum; NUMBERS],
-    magnitudes: [u64; NUMBERS],
+    magnitudes: [u32; NUMBERS],
 }
 
 impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMBERS: usize>

@@ -46,10 +46,6 @@ impl Slot {
     pub(crate) const fn is_on(self) -> bool {
         self.link & 1 == 1
     }
-
-    pub(crate) const fn sign(self) -> i32 {
-        (self.link & 1) as i32 * 2 - 1
-    }
 }
 
 /// Columns of a segment: the run of pixels whose events share one list.

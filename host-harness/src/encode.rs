@@ -24,7 +24,7 @@ pub struct HostStorage {
     bitmap: Vec<u32>,
     sums: Vec<Sum>,
     totals: Vec<WideSum>,
-    magnitudes: Vec<u64>,
+    magnitudes: Vec<u32>,
 }
 
 impl HostStorage {
