@@ -60,16 +60,23 @@ impl<'o> BitWriter<'o> {
     pub fn put_some(&mut self, value: u32, bits: u32) {
         // In two steps where the shift may be 32, which is none in one.
         let top = value << (32_u32.wrapping_sub(bits) & 31);
-        let Position {
-            words,
-            pending,
-            free,
-        } = self.state;
+        let Position { pending, free, .. } = self.state;
         if bits < free {
             self.state.pending = (pending >> (bits & 31)) | top;
             self.state.free = free - bits;
             return;
         }
+        self.complete(value, bits, top);
+    }
+
+    /// The rest of [`Self::put_some`] where the value completes a word.
+    #[inline(never)]
+    fn complete(&mut self, value: u32, bits: u32, top: u32) {
+        let Position {
+            words,
+            pending,
+            free,
+        } = self.state;
         // The oldest `free` bits of the value complete the word; the others are at its top.
         let word =
             ((pending >> 1) >> ((free - 1) & 31)) | (value << (32_u32.wrapping_sub(free) & 31));
