@@ -5,10 +5,10 @@ use std::collections::VecDeque;
 
 use eecvs_nostd::event_link::{BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Setup};
 use eecvs_nostd::evt2::Evt2Encoder;
-use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
+use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
-use eecvs_nostd::transform::Impulse;
+use eecvs_nostd::transform::Oscillators;
 use eecvs_nostd::{
     Config, Encoder, Event, Frame, Polarity, Push, Quantiser, Scratch, Sensor, Thresholds, Window,
     WindowBuffers, WindowConfig, WindowEncoder,
@@ -138,7 +138,7 @@ impl Machine {
             Some(Work::Setup(setup, _)) => {
                 let config = setup.config().expect("the test's own");
                 let scratch = Scratch {
-                    impulses: Box::leak(Box::new([Impulse::NONE; CHUNK_EVENTS])),
+                    oscillators: Box::leak(Box::new(Oscillators::new())),
                     sums: leak(Sum::ZERO, 64),
                     totals: leak(WideSum::ZERO, 64),
                     magnitudes: leak(0, 64),
@@ -201,11 +201,10 @@ fn expected(events: &[Event]) -> Vec<u8> {
         .unwrap()
         .next()
         .unwrap();
-    let (mut sums, mut totals, mut magnitudes) =
-        ([Sum::ZERO; 64], [WideSum::ZERO; 64], [0_u64; 64]);
-    let mut impulses = [Impulse::NONE; CHUNK_EVENTS];
+    let (mut sums, mut totals, mut magnitudes) = ([Sum::ZERO; 64], [WideSum::ZERO; 64], [0; 64]);
+    let mut oscillators = Oscillators::new();
     let scratch = Scratch {
-        impulses: &mut impulses,
+        oscillators: &mut oscillators,
         sums: &mut sums,
         totals: &mut totals,
         magnitudes: &mut magnitudes,

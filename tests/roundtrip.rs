@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use eecvs_nostd::bits::{BitReader, BitWriter};
-use eecvs_nostd::transform::Rule;
+use eecvs_nostd::transform::dwt::single_levels;
 use eecvs_nostd::{
     Descriptor, Event, FRAME_BYTES_MAX, Level, OUTPUT_BYTES_MIN, Packing, Polarity, Quantiser,
     Sensor, Transform,
@@ -32,30 +32,34 @@ fn packing() -> impl Strategy<Value = Packing> {
         )
 }
 
-/// A descriptor that an encoder may write: indices ascending and kept, levels not zero, c_0 the
-/// one that the counts imply.
+/// A descriptor that an encoder may write: the right number of coefficients, indices ascending,
+/// levels that n events can have, c_0 the one that the counts imply.
 fn descriptor(packing: Packing) -> impl Strategy<Value = Descriptor> {
-    let grid = match packing.transform.rule() {
-        Rule::LowFrequency => packing.kept(),
-        Rule::Magnitude => usize::from(packing.grid),
-    };
     let kept = packing.kept();
-    let level = prop_oneof![8 => -70..70_i32, 1 => any::<i32>()];
+    let grid = usize::from(packing.grid);
+    let few = (0..6_u32, 0..6_u32);
+    let many = (0..70_000_u32, 0..70_000_u32);
+    let counts = prop_oneof![
+        2 => Just((1, 0)), 2 => Just((0, 1)), 4 => few.clone(), 1 => many.clone(),
+        1 => (few.0, many.1), 1 => (many.0, few.1),
+    ];
+    let count = match packing.transform {
+        Transform::Dwt => 0..=kept,
+        Transform::Dct | Transform::Dtft => kept..=kept,
+    };
     (
         0..packing.sensor.width,
         0..packing.sensor.height,
-        prop_oneof![9 => 0..6_u32, 1 => 0..70_000_u32],
-        prop_oneof![9 => 0..6_u32, 1 => 0..70_000_u32],
-        proptest::sample::subsequence((0..grid as u16).collect::<Vec<_>>(), 0..=kept),
-        proptest::collection::vec((level.clone(), level), 64),
+        counts,
+        proptest::sample::subsequence((0..grid as u16).collect::<Vec<_>>(), count),
+        proptest::collection::vec((any::<i32>(), any::<i32>()), 64),
+        // By how much the levels are smaller than they might be.
+        0..32_u32,
     )
-        .prop_map(move |(x, y, on, off, mut ks, values)| {
-            // The low frequencies always include c_0.
-            if packing.transform.rule() == Rule::LowFrequency && ks.first() != Some(&0) {
-                ks.truncate(kept - 1);
-                ks.insert(0, 0);
-            }
+        .prop_map(move |(x, y, (on, off), mut ks, values, shift)| {
             let on = if on + off == 0 { 1 } else { on };
+            let events = on + off;
+            let net = on as i32 - off as i32;
             let mut descriptor = Descriptor {
                 x,
                 y,
@@ -63,20 +67,37 @@ fn descriptor(packing: Packing) -> impl Strategy<Value = Descriptor> {
                 off,
                 ..Descriptor::EMPTY
             };
+            if packing.transform == Transform::Dwt && events == 1 {
+                let shape = (packing.grid.ilog2(), kept as u32);
+                let bin = values[0].0 as u32 % u32::from(packing.grid);
+                single_levels(bin, net, shape, packing.quantiser, |level| {
+                    descriptor.levels.push(level).expect("at most 64");
+                });
+                return descriptor;
+            }
+            if packing.transform == Transform::Dct
+                || (packing.transform == Transform::Dtft && events == 1)
+            {
+                ks = (0..kept as u16).collect();
+            }
+            let step_log2 = i32::from(packing.quantiser.step_log2());
+            // Levels from -most to most - 1.
+            let most = match packing.transform {
+                Transform::Dwt => f64::from(events),
+                _ => (f64::from(events) * 2_f64.powi(-step_log2)).ceil(),
+            };
+            let level = |value: i32| {
+                let level = f64::from(value >> shift) / 2_f64.powi(31) * most;
+                level.floor().max(f64::from(i32::MIN)) as i32
+            };
             for (k, (re, im)) in ks.into_iter().zip(values) {
-                let im = if packing.transform.is_complex() {
-                    im
-                } else {
-                    0
-                };
-                let net =
-                    eecvs_nostd::fixed_point::WideSum::from_num(i64::from(on) - i64::from(off));
                 let (re, im) = match (k, packing.transform) {
-                    (0, Transform::Dwt) => (packing.quantiser.haar(net, 0).0, 0),
-                    (0, _) => (packing.quantiser.uniform(net).0, 0),
-                    _ => (re, im),
+                    (0, _) => (net, 0),
+                    (_, Transform::Dct) => (level(re), 0),
+                    (_, Transform::Dtft) => (level(re), level(im)),
+                    (_, Transform::Dwt) => (level(re) + i32::from(re >= 0), 0),
                 };
-                if (re, im) != (0, 0) {
+                if packing.transform != Transform::Dwt || re != 0 {
                     descriptor
                         .levels
                         .push(Level { k, re, im })

@@ -299,8 +299,8 @@ fn the_largest_window_at_the_end_of_time_fits_one_pixel() {
         let pixel = pixels(&frame).expect("the encoder's own payload")[0].clone();
         assert_eq!((pixel.on, pixel.off), (EVENTS_MAX as u32, 0));
         assert_eq!(pixel.coefficients[0], (0, window_events as f64, 0.0));
-        // c_0 in steps of 2^-15 is beyond 32 bits: cut, told, and known from the counts.
-        assert_eq!(header.saturated, u32::from(step_log2 < 0));
+        // c_0 in steps of 2^-15 is beyond 32 bits, but known from the counts.
+        assert_eq!(header.saturated, 0);
         assert_eq!(encoder.next_frame(&mut out), Ok(None));
         assert_eq!(encoder.push(at(u64::MAX, 0)), Push::Stored);
     }
@@ -444,5 +444,40 @@ impl Frames {
         while let Some(frame) = encoder.next_frame(&mut out).expect("room") {
             self.bytes.push(out[frame.range].to_vec());
         }
+    }
+}
+
+/// Levels beyond 32 bits are cut, and told.
+#[test]
+fn levels_that_saturate_are_counted() {
+    let sensor = Sensor {
+        width: 1,
+        height: 1,
+    };
+    // All at u = 0, where every cosine is 1 (less 2^-18) and every sine 0.
+    let count = 65_600;
+    let events = vec![at(0, 0); count];
+    for (transform, step_log2, saturated) in [
+        (Transform::Dct, -15, 3),
+        (Transform::Dtft, -15, 3),
+        (Transform::Dct, -14, 0),
+        (Transform::Dwt, -15, 0),
+    ] {
+        let mut config = plain_config(sensor, transform, 4);
+        config.grid = Some(4);
+        config.quantiser = Quantiser::new(step_log2).expect("in range");
+        let frames = encode(config, &events, count, 4096);
+        let frame = parse(&frames[0]);
+        assert_eq!(
+            frame.header.saturated, saturated,
+            "{transform:?} {step_log2}"
+        );
+        let pixel = pixels(&frame).expect("the encoder's own payload")[0].clone();
+        let expected = if saturated > 0 { 65_536.0 } else { 65_600.0 };
+        let c_1 = pixel.coefficients[1].1;
+        assert!(
+            (c_1 - expected).abs() <= 0.5,
+            "{transform:?} {step_log2}: {c_1}"
+        );
     }
 }

@@ -10,13 +10,13 @@ pub struct Full;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Ended;
 
-/// Unary part of a Rice code from which on the value follows plainly: bounds a code to 56 bits.
-const RICE_ESCAPE: u32 = 24;
-
-/// Writes bits into a lent buffer.
+/// Writes bits into a lent buffer, a word of 32 at a time.
+///
+/// Once the buffer is full, what is put is lost until [`Self::rewind`]: ask [`Self::is_full`] after
+/// a pixel, not after each of its fields.
 #[derive(Debug)]
 pub struct BitWriter<'o> {
-    out: &'o mut [u8],
+    words: &'o mut [[u8; 4]],
     state: Position,
 }
 
@@ -24,90 +24,110 @@ pub struct BitWriter<'o> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Position {
-    bytes: usize,
-    pending: u64,
-    pending_bits: u32,
+    /// Words written.
+    words: usize,
+    /// Bits of the next word at its top, the newest uppermost; what is below them is left over.
+    pending: u32,
+    /// Bits that the next word still takes: 1 to 32.
+    free: u32,
 }
 
 impl<'o> BitWriter<'o> {
-    /// A writer at the start of `out`.
+    /// A writer at the start of `out`, of which up to three bytes at the end stay unused.
     #[must_use]
     pub const fn new(out: &'o mut [u8]) -> Self {
         Self {
-            out,
+            words: out.as_chunks_mut().0,
             state: Position {
-                bytes: 0,
+                words: 0,
                 pending: 0,
-                pending_bits: 0,
+                free: 32,
             },
         }
     }
 
-    /// Puts the low `bits` (0 to 32) of `value`, whose others must be 0.
-    ///
-    /// # Errors
-    /// [`Full`]: nothing of the value counts as written.
-    #[inline]
-    pub fn put(&mut self, value: u32, bits: u32) -> Result<(), Full> {
-        debug_assert!(bits <= 32 && u64::from(value) >> bits == 0);
-        let mut state = self.state;
-        state.pending |= u64::from(value) << state.pending_bits;
-        state.pending_bits += bits;
-        let full_word = state.pending_bits >= 32;
-        let end = state.bytes + 4 * usize::from(full_word);
-        // Four bytes stay free for what `finish` has to write.
-        if end + 4 > self.out.len() {
-            return Err(Full);
+    /// Puts the low `bits` (0 to 32) of `value`, whose others may be anything.
+    #[inline(always)]
+    pub fn put(&mut self, value: u32, bits: u32) {
+        debug_assert!(bits <= 32);
+        if bits > 0 {
+            self.put_some(value, bits);
         }
-        if full_word {
-            self.out[state.bytes..end].copy_from_slice(&(state.pending as u32).to_le_bytes());
-            state.bytes = end;
-            state.pending >>= 32;
-            state.pending_bits -= 32;
-        }
-        self.state = state;
-        Ok(())
     }
 
-    /// `count` ones and a zero.
-    fn put_unary(&mut self, mut count: u32) -> Result<(), Full> {
-        while count >= 31 {
-            self.put(0x7fff_ffff, 31)?;
-            count -= 31;
+    /// As [`Self::put`], of at least one bit.
+    #[inline(always)]
+    pub fn put_some(&mut self, value: u32, bits: u32) {
+        // In two steps where the shift may be 32, which is none in one.
+        let top = value << (32_u32.wrapping_sub(bits) & 31);
+        let Position { pending, free, .. } = self.state;
+        if bits < free {
+            self.state.pending = (pending >> (bits & 31)) | top;
+            self.state.free = free - bits;
+            return;
         }
-        self.put((1 << count) - 1, count + 1)
+        self.complete(value, bits, top);
+    }
+
+    /// The rest of [`Self::put_some`] where the value completes a word.
+    #[inline(never)]
+    fn complete(&mut self, value: u32, bits: u32, top: u32) {
+        let Position {
+            words,
+            pending,
+            free,
+        } = self.state;
+        // The oldest `free` bits of the value complete the word; the others are at its top.
+        let word =
+            ((pending >> 1) >> ((free - 1) & 31)) | (value << (32_u32.wrapping_sub(free) & 31));
+        if let Some(place) = self.words.get_mut(words) {
+            *place = word.to_le_bytes();
+        }
+        self.state = Position {
+            words: words + 1,
+            pending: top,
+            free: 32 + free - bits,
+        };
+    }
+
+    /// `count` (0 to 31) zeros and a one.
+    #[inline(always)]
+    pub fn put_unary(&mut self, count: u32) {
+        self.put_some(1 << (count & 31), count + 1);
     }
 
     /// Exp-Golomb code of `order` (0 to 31) of a value below 2^32 - 2^order.
-    ///
-    /// # Errors
-    /// [`Full`].
-    pub fn put_exp_golomb(&mut self, value: u32, order: u32) -> Result<(), Full> {
-        let shifted = value + (1 << order);
-        let low_bits = shifted.ilog2();
-        self.put_unary(low_bits - order)?;
-        self.put(shifted - (1 << low_bits), low_bits)
-    }
-
-    /// Rice code of a signed value (zigzag: 0, -1, 1, -2, ...) with `low_bits` (0 to 31) plain
-    /// bits; a value far above 2^`low_bits` is escaped.
-    ///
-    /// # Errors
-    /// [`Full`].
-    #[inline]
-    pub fn put_rice(&mut self, value: i32, low_bits: u32) -> Result<(), Full> {
-        let zigzag = ((value << 1) ^ (value >> 31)) as u32;
-        let quotient = zigzag >> low_bits;
-        if quotient < RICE_ESCAPE {
-            self.put((1 << quotient) - 1, quotient + 1)?;
-            self.put(zigzag & ((1 << low_bits) - 1), low_bits)
+    #[inline(always)]
+    pub fn put_exp_golomb(&mut self, value: u32, order: u32) {
+        let (code, bits) = exp_golomb(value, order);
+        if bits <= 32 {
+            self.put_some(code, bits);
         } else {
-            self.put((1 << RICE_ESCAPE) - 1, RICE_ESCAPE)?;
-            self.put(zigzag, 32)
+            self.put_long_exp_golomb(value, order);
         }
     }
 
+    /// As [`Self::put_exp_golomb`] where one word does not hold it.
+    #[cold]
+    #[inline(never)]
+    fn put_long_exp_golomb(&mut self, value: u32, order: u32) {
+        let shifted = value.wrapping_add(1 << (order & 31));
+        let low_bits = shifted.leading_zeros() ^ 31;
+        self.put_unary(low_bits.wrapping_sub(order) & 31);
+        self.put(shifted, low_bits);
+    }
+
+    /// Whether something put did not fit; nothing put since an earlier [`Self::position`] that was
+    /// not full counts then.
+    #[inline(always)]
+    #[must_use]
+    pub const fn is_full(&self) -> bool {
+        // One word stays free for what `finish` has to write.
+        self.state.words >= self.words.len()
+    }
+
     /// Where the writer stands.
+    #[inline(always)]
     #[must_use]
     pub const fn position(&self) -> Position {
         self.state
@@ -120,16 +140,33 @@ impl<'o> BitWriter<'o> {
 
     /// Fills the last byte with zeros and returns the number of bytes written.
     #[must_use]
-    pub fn finish(mut self) -> usize {
-        while self.state.pending_bits > 0 {
-            // In range: `put` keeps four bytes free, and fewer than 32 bits are pending.
-            self.out[self.state.bytes] = self.state.pending as u8;
-            self.state.bytes += 1;
-            self.state.pending >>= 8;
-            self.state.pending_bits = self.state.pending_bits.saturating_sub(8);
+    pub fn finish(self) -> usize {
+        let Position {
+            words,
+            pending,
+            free,
+        } = self.state;
+        match self.words.get_mut(words) {
+            Some(word) => {
+                *word = ((pending >> 1) >> ((free - 1) & 31)).to_le_bytes();
+                4 * words + (32 - free).div_ceil(8) as usize
+            }
+            None => 4 * self.words.len(),
         }
-        self.state.bytes
     }
+}
+
+/// Exp-Golomb code of `order` (0 to 31) of a value below 2^32 - 2^order, and its bits; the code
+/// holds where they are up to 32. Right above it stands a 1.
+#[inline(always)]
+#[must_use]
+pub const fn exp_golomb(value: u32, order: u32) -> (u32, u32) {
+    let shifted = value.wrapping_add(1 << (order & 31));
+    let zeros = shifted.leading_zeros();
+    let unary = 31_u32.wrapping_sub(order).wrapping_sub(zeros);
+    // `unary` zeros, a one, and the bits of `shifted`, whose highest is the 1 above.
+    let code = ((shifted << 1) | 1) << (unary & 31);
+    (code, unary.wrapping_add(32 - zeros))
 }
 
 /// Reads what a [`BitWriter`] wrote.
@@ -182,10 +219,13 @@ impl<'i> BitReader<'i> {
         Ok(value)
     }
 
-    /// Ones before the next zero, which is consumed; at most `most`, after which no zero follows.
-    fn get_unary(&mut self, most: u32) -> Result<u32, Ended> {
+    /// Zeros before the next one, which is consumed; at most `most`, after which no one follows.
+    ///
+    /// # Errors
+    /// [`Ended`].
+    pub fn get_unary(&mut self, most: u32) -> Result<u32, Ended> {
         let mut count = 0;
-        while count < most && self.get(1)? == 1 {
+        while count < most && self.get(1)? == 0 {
             count += 1;
         }
         Ok(count)
@@ -201,26 +241,6 @@ impl<'i> BitReader<'i> {
             return Err(Ended);
         }
         Ok(((1 << low_bits) | self.get(low_bits)?) - (1 << order))
-    }
-
-    /// Inverse of [`BitWriter::put_rice`].
-    ///
-    /// # Errors
-    /// [`Ended`].
-    #[inline]
-    pub fn get_rice(&mut self, low_bits: u32) -> Result<i32, Ended> {
-        let quotient = self.get_unary(RICE_ESCAPE)?;
-        let zigzag = if quotient < RICE_ESCAPE {
-            // A quotient too large for 32 bits is no code: the writer escapes long before.
-            quotient
-                .checked_shl(low_bits)
-                .filter(|high| high >> low_bits == quotient)
-                .ok_or(Ended)?
-                | self.get(low_bits)?
-        } else {
-            self.get(32)?
-        };
-        Ok((zigzag >> 1) as i32 ^ -((zigzag & 1) as i32))
     }
 
     /// Whether nothing but the zeros that fill the last byte is left.
@@ -239,7 +259,7 @@ mod tests {
     enum Code {
         Plain(u32, u32),
         ExpGolomb(u32, u32),
-        Rice(i32, u32),
+        Unary(u32),
     }
 
     fn code() -> impl Strategy<Value = Code> {
@@ -248,16 +268,23 @@ mod tests {
                 .prop_map(|(v, bits)| Code::Plain((u64::from(v) & ((1 << bits) - 1)) as u32, bits)),
             (0..1_u32 << 31, 0..=22_u32, 0..31_u32)
                 .prop_map(|(v, order, shift)| Code::ExpGolomb((v - (v >> 9)) >> shift, order)),
-            (any::<i32>(), 0..=31_u32, 0..32_u32)
-                .prop_map(|(v, bits, shift)| Code::Rice(v >> shift, bits)),
+            (0..=31_u32).prop_map(Code::Unary),
         ]
     }
 
-    fn put(writer: &mut BitWriter<'_>, code: Code) -> Result<(), Full> {
+    fn put(writer: &mut BitWriter<'_>, code: Code) {
         match code {
             Code::Plain(value, bits) => writer.put(value, bits),
             Code::ExpGolomb(value, order) => writer.put_exp_golomb(value, order),
-            Code::Rice(value, bits) => writer.put_rice(value, bits),
+            Code::Unary(count) => writer.put_unary(count),
+        }
+    }
+
+    fn get(reader: &mut BitReader<'_>, code: Code) -> bool {
+        match code {
+            Code::Plain(value, bits) => reader.get(bits) == Ok(value),
+            Code::ExpGolomb(value, order) => reader.get_exp_golomb(order) == Ok(value),
+            Code::Unary(count) => reader.get_unary(32) == Ok(count),
         }
     }
 
@@ -267,18 +294,13 @@ mod tests {
             let mut out = [0xa5; 1024];
             let mut writer = BitWriter::new(&mut out);
             for code in &codes {
-                prop_assert_eq!(put(&mut writer, *code), Ok(()));
+                put(&mut writer, *code);
             }
+            prop_assert!(!writer.is_full());
             let len = writer.finish();
             let mut reader = BitReader::new(&out[..len]);
             for code in codes {
-                match code {
-                    Code::Plain(value, bits) => prop_assert_eq!(reader.get(bits), Ok(value)),
-                    Code::ExpGolomb(value, order) => {
-                        prop_assert_eq!(reader.get_exp_golomb(order), Ok(value));
-                    }
-                    Code::Rice(value, bits) => prop_assert_eq!(reader.get_rice(bits), Ok(value)),
-                }
+                prop_assert!(get(&mut reader, code), "{:?}", code);
             }
             prop_assert!(reader.is_spent());
         }
@@ -290,7 +312,8 @@ mod tests {
             let mut written = 0;
             for code in &codes {
                 let before = writer.position();
-                if put(&mut writer, *code).is_err() {
+                put(&mut writer, *code);
+                if writer.is_full() {
                     writer.rewind(before);
                     break;
                 }
@@ -300,12 +323,7 @@ mod tests {
             prop_assert!(used <= len);
             let mut reader = BitReader::new(&out[..used]);
             for code in &codes[..written] {
-                let read = match code {
-                    Code::Plain(_, bits) => reader.get(*bits).is_ok(),
-                    Code::ExpGolomb(_, order) => reader.get_exp_golomb(*order).is_ok(),
-                    Code::Rice(_, bits) => reader.get_rice(*bits).is_ok(),
-                };
-                prop_assert!(read);
+                prop_assert!(get(&mut reader, *code), "{:?}", code);
             }
         }
 
@@ -314,51 +332,45 @@ mod tests {
             let mut reader = BitReader::new(&bytes);
             for _ in 0..600 {
                 let _ = reader.get_exp_golomb(order);
-                let _ = reader.get_rice(order);
+                let _ = reader.get_unary(order);
             }
         }
     }
 
     #[test]
-    fn the_escape_begins_at_24_ones() {
-        for (zigzag_half, expected) in [
-            // 23 ones and a zero; 24 ones and the value in 32 bits.
-            (-12, &[0xff, 0xff, 0x7f][..]),
-            (12, &[0xff, 0xff, 0xff, 24, 0, 0, 0]),
-        ] {
-            let mut out = [0; 16];
-            let mut writer = BitWriter::new(&mut out);
-            writer.put_rice(zigzag_half, 0).unwrap();
-            let len = writer.finish();
-            assert_eq!(out[..len], *expected);
-            assert_eq!(BitReader::new(&out[..len]).get_rice(0), Ok(zigzag_half));
-        }
+    fn a_buffer_of_one_word_holds_what_is_less() {
+        let mut out = [0; 7];
+        let mut writer = BitWriter::new(&mut out);
+        writer.put(0x7fff_ffff, 31);
+        assert!(!writer.is_full());
+        assert_eq!(writer.finish(), 4);
+        let mut writer = BitWriter::new(&mut out);
+        writer.put(u32::MAX, 32);
+        assert!(writer.is_full());
+        assert!(BitWriter::new(&mut []).is_full());
     }
 
     #[test]
     fn codes_that_no_value_has_are_refused() {
-        // 32 ones, and an order that leaves too few bits for 20 of them.
-        let ones = [0xff; 16];
-        assert_eq!(BitReader::new(&ones).get_exp_golomb(0), Err(Ended));
-        let twenty = [0xff, 0xff, 0x0f, 0, 0, 0, 0, 0, 0, 0];
+        // 32 zeros, and an order that leaves too few bits for 20 of them.
+        assert_eq!(BitReader::new(&[0; 16]).get_exp_golomb(0), Err(Ended));
+        let twenty = [0, 0, 0x10, 0, 0, 0, 0, 0, 0, 0];
         assert_eq!(
             BitReader::new(&twenty).get_exp_golomb(11),
             Ok((1 << 31) - (1 << 11))
         );
         assert_eq!(BitReader::new(&twenty).get_exp_golomb(12), Err(Ended));
-        // A quotient of 2 with 31 plain bits is 2^32.
-        assert_eq!(BitReader::new(&[3, 0, 0, 0, 0, 0]).get_rice(31), Err(Ended));
     }
 
     #[test]
     fn bit_order_is_low_first() {
         let mut out = [0; 8];
         let mut writer = BitWriter::new(&mut out);
-        writer.put(0b1, 1).unwrap();
-        writer.put(0b10, 2).unwrap();
-        writer.put_exp_golomb(2, 0).unwrap(); // 3 = 0b11: unary 1, low bit 1
-        writer.put_rice(-3, 1).unwrap(); // zigzag 5: quotient 2, low bit 1
+        writer.put(0b1, 1);
+        writer.put(0b10, 2);
+        writer.put_exp_golomb(2, 0); // 3 = 0b11: unary 1, low bit 1
+        writer.put_unary(2);
         assert_eq!(writer.finish(), 2);
-        assert_eq!(out[..2], [0b1110_1101, 0b10]);
+        assert_eq!(out[..2], [0b0011_0101, 0b1]);
     }
 }

@@ -7,8 +7,8 @@ use crate::transform::M_MAX;
 
 /// One pixel's window: its event counts, and the quantised coefficients that were kept.
 ///
-/// Coefficients whose level is 0 are left out: they decode to 0 either way. c_0 = on - off in
-/// every transform; where k = 0 is kept its level stands here but costs nothing on the link.
+/// c_0 = on - off in every transform; where k = 0 is kept it stands here but costs nothing on the
+/// link. The DCT has k = 0..r, the DTFT r of its K; of the DWT those that are 0 are left out.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Descriptor {
@@ -20,7 +20,7 @@ pub struct Descriptor {
     pub on: u32,
     /// OFF events in the window.
     pub off: u32,
-    /// Kept coefficients, k ascending, none of them (0, 0).
+    /// Kept coefficients, k ascending.
     pub levels: Vec<Level, M_MAX>,
 }
 

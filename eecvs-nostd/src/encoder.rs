@@ -4,19 +4,18 @@ use core::ops::Range;
 
 use crate::bits::BitWriter;
 use crate::density::Density;
-use crate::descriptor::Descriptor;
 use crate::event::Event;
-use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
+use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum, mul_high};
 use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, seal};
-use crate::group::{Chunks, Group, Pixel};
-use crate::pack::PIXEL_BYTES_MAX;
+use crate::group::{Group, Impulses, Pixel};
+use crate::pack::{PIXEL_BYTES_MAX, Packer};
 use crate::phase::PhaseScale;
 use crate::prune::{Kept, largest, low_frequency};
-use crate::quantise::Quantiser;
+use crate::quantise::{Haar, Pairs, Quantiser, Run};
 use crate::regime::Thresholds;
 use crate::trace::{Stage, Trace};
-use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, Impulse, M_MAX, Rule, Transform};
-use crate::window::{Closed, Push, Window, WindowBuffers, WindowConfig};
+use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, M_MAX, Oscillators, Rule, Transform, dwt};
+use crate::window::{Closed, Push, Slot, Window, WindowBuffers, WindowConfig};
 
 /// Smallest output that always takes a frame with at least one pixel.
 pub const OUTPUT_BYTES_MIN: usize = HEADER_BYTES_MAX + PIXEL_BYTES_MAX + CRC_BYTES + 8;
@@ -104,13 +103,13 @@ impl Config {
 #[derive(Debug)]
 pub struct Scratch<'b> {
     /// Events of a chunk.
-    pub impulses: &'b mut [Impulse; CHUNK_EVENTS],
+    pub oscillators: &'b mut Oscillators,
     /// Sums of a chunk.
     pub sums: &'b mut [Sum],
     /// Sums of a pixel of several chunks.
     pub totals: &'b mut [WideSum],
     /// Magnitudes and their copy.
-    pub magnitudes: &'b mut [u64],
+    pub magnitudes: &'b mut [u32],
 }
 
 impl Scratch<'_> {
@@ -150,6 +149,7 @@ pub struct Encoded {
 pub struct WindowEncoder<'b> {
     config: Config,
     scratch: Scratch<'b>,
+    kept: Kept,
     group: Group,
     task: Option<Task>,
     sequence: u32,
@@ -167,6 +167,7 @@ impl<'b> WindowEncoder<'b> {
         Ok(Self {
             config,
             scratch,
+            kept: Kept::NONE,
             group: Group::new(),
             task: None,
             sequence: 0,
@@ -244,27 +245,17 @@ impl<'b> WindowEncoder<'b> {
 
         let end = out.len().min(FRAME_BYTES_MAX) - CRC_BYTES;
         let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..end]);
-        let packing = header.packing();
-        let mut next_index = 0;
-        header.last = loop {
-            let Some(pixel) = self.group.next(window) else {
-                break true;
-            };
-            let (descriptor, saturated) = self.describe(pixel, header, window, task.scale, trace);
-            trace.enter(Stage::Pack);
-            let position = writer.position();
-            if packing
-                .pack(&descriptor, &mut next_index, &mut writer)
-                .is_err()
-            {
-                writer.rewind(position);
-                self.group.put_back(pixel);
-                break false;
+        let scale = task.scale;
+        header.last = match header.transform {
+            Transform::Dct => {
+                self.encode_pixels::<Dct, _>(window, scale, header, &mut writer, trace)
             }
-            header.events += descriptor.events();
-            header.pixels += 1;
-            header.saturated = header.saturated.saturating_add(saturated);
-            trace.enter(Stage::Group);
+            Transform::Dtft => {
+                self.encode_pixels::<Dtft, _>(window, scale, header, &mut writer, trace)
+            }
+            Transform::Dwt => {
+                self.encode_pixels::<Dwt, _>(window, scale, header, &mut writer, trace)
+            }
         };
         trace.enter(Stage::Frame);
         let payload_bytes = writer.finish();
@@ -316,102 +307,302 @@ impl<'b> WindowEncoder<'b> {
         }
     }
 
-    fn describe<T: Trace>(
+    /// Encodes pixels up to the last, or up to the first that finds no room; returns whether that
+    /// was the last.
+    #[inline(never)]
+    fn encode_pixels<B: Basis, T: Trace>(
         &mut self,
-        pixel: Pixel,
-        header: &Header,
         window: &mut Window<'_>,
         scale: PhaseScale,
+        header: &mut Header,
+        writer: &mut BitWriter<'_>,
         trace: &mut T,
-    ) -> (Descriptor, u32) {
-        let chunks = Chunks::new(pixel, window.slots(), scale);
-        match header.transform {
-            Transform::Dct => self.describe_in::<Dct, _>(pixel, header, chunks, trace),
-            Transform::Dtft => self.describe_in::<Dtft, _>(pixel, header, chunks, trace),
-            Transform::Dwt => self.describe_in::<Dwt, _>(pixel, header, chunks, trace),
+    ) -> bool {
+        let packing = header.packing();
+        let mut stages = Stages {
+            grid: usize::from(packing.grid),
+            r: packing.kept(),
+            quantiser: packing.quantiser,
+            scale,
+            scratch: &mut self.scratch,
+            kept: &mut self.kept,
+            packer: packing.packer(),
+        };
+        while let Some(pixel) = self.group.next(window) {
+            let position = writer.position();
+            let saturated = stages.encode::<B, T>(pixel, window.slots(), writer, trace);
+            if writer.is_full() {
+                writer.rewind(position);
+                self.group.put_back(pixel);
+                return false;
+            }
+            header.events += pixel.on + pixel.off;
+            header.pixels += 1;
+            header.saturated = header.saturated.saturating_add(saturated);
+            trace.enter(Stage::Group);
         }
+        true
     }
+}
 
-    /// Accumulate, prune and quantise one pixel; also returns how many levels saturated.
-    fn describe_in<B: Basis, T: Trace>(
+/// What turns one pixel's events into bits.
+struct Stages<'e, 'b> {
+    grid: usize,
+    r: usize,
+    quantiser: Quantiser,
+    scale: PhaseScale,
+    scratch: &'e mut Scratch<'b>,
+    kept: &'e mut Kept,
+    packer: Packer,
+}
+
+impl Stages<'_, '_> {
+    /// Accumulate, prune, quantise and pack one pixel; returns how many levels saturated.
+    #[inline(always)]
+    fn encode<B: Basis, T: Trace>(
         &mut self,
         pixel: Pixel,
-        header: &Header,
-        mut chunks: Chunks<'_>,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
         trace: &mut T,
-    ) -> (Descriptor, u32) {
+    ) -> u32 {
+        trace.enter(Stage::Pack);
+        self.packer
+            .place((pixel.x, pixel.y), (pixel.on, pixel.off), writer);
         trace.enter(Stage::Accumulate);
-        let grid = usize::from(header.grid);
+        let events = pixel.on + pixel.off;
+        let mut impulses = Impulses::new(pixel, slots);
+        if B::TRANSFORM as u8 == Transform::Dwt as u8 && events == 1 {
+            let offset_us = impulses.next().map_or(0, |impulse| impulse.offset_us);
+            let bin = self.scale.bin(offset_us, self.grid.trailing_zeros());
+            trace.enter(Stage::Pack);
+            self.packer.bin(bin, writer);
+            return 0;
+        }
+        let sums = &mut *self.scratch.sums;
+        B::accumulate(
+            impulses.clone(),
+            events,
+            self.scale,
+            self.grid,
+            self.scratch.oscillators,
+            sums,
+        );
+        if events as usize > CHUNK_EVENTS {
+            return self.encode_crowded::<B, T>(pixel, impulses, writer, trace);
+        }
+        if B::RULE as u8 == Rule::Magnitude as u8 {
+            set_zeroth::<B, _>(pixel, self.grid, sums);
+        }
+        let mut rest = Rest {
+            grid: self.grid,
+            r: self.r,
+            quantiser: self.quantiser,
+            magnitudes: self.scratch.magnitudes,
+            kept: self.kept,
+            packer: &self.packer,
+        };
+        rest.encode::<B, Sum, T>(events, sums, writer, trace)
+    }
+
+    /// The same for a pixel of several chunks, of which the first has been accumulated.
+    #[inline(never)]
+    fn encode_crowded<B: Basis, T: Trace>(
+        &mut self,
+        pixel: Pixel,
+        mut impulses: Impulses<'_>,
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> u32 {
         let Scratch {
-            impulses,
+            oscillators,
             sums,
             totals,
             magnitudes,
-        } = &mut self.scratch;
-        B::accumulate(chunks.fill(impulses), grid, sums);
-        if pixel.on + pixel.off <= CHUNK_EVENTS as u32 {
-            return select_levels::<B, _>(pixel, header, sums, magnitudes, trace);
-        }
-        let values = B::values(grid);
-        for (total, sum) in totals[..values].iter_mut().zip(sums.iter()) {
+        } = &mut *self.scratch;
+        let values = B::values(self.grid);
+        for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
             *total = sum.wide();
         }
-        loop {
-            let chunk = chunks.fill(impulses);
-            if chunk.is_empty() {
-                return select_levels::<B, _>(pixel, header, totals, magnitudes, trace);
-            }
-            B::accumulate(chunk, grid, sums);
-            for (total, sum) in totals[..values].iter_mut().zip(sums.iter()) {
+        let events = pixel.on + pixel.off;
+        let chunks = events.div_ceil(CHUNK_EVENTS as u32);
+        for _ in 1..chunks {
+            let _ = impulses.nth(CHUNK_EVENTS - 1);
+            B::accumulate(
+                impulses.clone(),
+                events,
+                self.scale,
+                self.grid,
+                oscillators,
+                sums,
+            );
+            for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
                 // Fewer than 2^24 events of at most 1 each: far from the 2^40 that a total holds.
                 *total = total.wrapping_add(sum.wide());
+            }
+        }
+        set_zeroth::<B, _>(pixel, self.grid, totals);
+        let mut rest = Rest {
+            grid: self.grid,
+            r: self.r,
+            quantiser: self.quantiser,
+            magnitudes,
+            kept: self.kept,
+            packer: &self.packer,
+        };
+        rest.encode::<B, WideSum, T>(pixel.on + pixel.off, totals, writer, trace)
+    }
+}
+
+/// c_0 = on - off.
+#[inline(always)]
+fn set_zeroth<B: Basis, C: Coefficient>(pixel: Pixel, grid: usize, sums: &mut [C]) {
+    if let Some(re) = sums.first_mut() {
+        *re = C::from_integer(pixel.on as i32 - pixel.off as i32);
+    }
+    if B::TRANSFORM.is_complex()
+        && let Some(im) = sums.get_mut(grid)
+    {
+        *im = C::from_integer(0);
+    }
+}
+
+/// The stages after accumulation, for coefficients of either width.
+struct Rest<'e> {
+    grid: usize,
+    r: usize,
+    quantiser: Quantiser,
+    magnitudes: &'e mut [u32],
+    kept: &'e mut Kept,
+    packer: &'e Packer,
+}
+
+impl Rest<'_> {
+    #[inline(always)]
+    fn encode<B: Basis, C: Coefficient, T: Trace>(
+        &mut self,
+        events: u32,
+        sums: &[C],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> u32 {
+        trace.enter(Stage::Prune);
+        let (grid, quantiser) = (self.grid, self.quantiser);
+        match B::TRANSFORM {
+            Transform::Dct => {
+                trace.enter(Stage::Pack);
+                let sums = sums.get(1..self.r).unwrap_or(&[]);
+                let levels = Run { sums, quantiser };
+                if !sums.is_empty() {
+                    self.packer.levels(events, &levels, writer);
+                }
+                cut::<C>(sums.iter(), quantiser)
+            }
+            Transform::Dtft => {
+                self.kept.clear(grid);
+                // All coefficients of a single event have the magnitude 1: all tie.
+                if self.r == grid || events == 1 {
+                    low_frequency(self.r, self.kept);
+                } else {
+                    self.prune_complex(events, sums);
+                }
+                trace.enter(Stage::Pack);
+                let kept = &*self.kept;
+                self.packer.set(events, kept, writer);
+                let levels = Pairs {
+                    sums,
+                    grid,
+                    kept,
+                    quantiser,
+                };
+                if self.r > 1 || !kept.contains(0) {
+                    self.packer.levels(events, &levels, writer);
+                }
+                let is_sent = |k: usize| k != 0 && k != grid && kept.contains(k % grid);
+                let sums = sums.iter().enumerate().take(2 * grid);
+                cut::<C>(
+                    sums.filter(|(k, _)| is_sent(*k)).map(|(_, sum)| sum),
+                    quantiser,
+                )
+            }
+            Transform::Dwt => {
+                self.prune_haar(events, sums);
+                trace.enter(Stage::Pack);
+                let kept = &*self.kept;
+                self.packer.set(events, kept, writer);
+                let levels = Haar {
+                    sums,
+                    grid,
+                    kept,
+                    quantiser,
+                };
+                if kept.count(grid) > u32::from(kept.contains(0)) {
+                    self.packer.levels(events, &levels, writer);
+                }
+                0
+            }
+        }
+    }
+
+    /// The r largest by re^2 + im^2, its rounding moves |c| by less than n 2^-14.
+    fn prune_complex<C: Coefficient>(&mut self, events: u32, sums: &[C]) {
+        let grid = self.grid;
+        let width = u32::BITS - events.leading_zeros();
+        let (magnitudes, work) = self.magnitudes[..2 * grid].split_at_mut(grid);
+        let (re, im) = sums[..2 * grid].split_at(grid);
+        for ((magnitude, re), im) in magnitudes.iter_mut().zip(re).zip(im) {
+            *magnitude = square(re.relative(width)) + square(im.relative(width));
+        }
+        largest(magnitudes, self.r, work, self.kept);
+    }
+
+    /// Those that are not 0, the r largest of them where they are more; out of these go the ones
+    /// whose level is 0.
+    fn prune_haar<C: Coefficient>(&mut self, events: u32, sums: &[C]) {
+        let grid = self.grid;
+        self.kept.clear(grid);
+        let mut nonzero = 0;
+        for (k, sum) in sums.iter().enumerate().take(grid) {
+            if sum.integer() != 0 {
+                self.kept.insert(k);
+                nonzero += 1;
+            }
+        }
+        if nonzero > self.r {
+            let (magnitudes, work) = self.magnitudes[..2 * grid].split_at_mut(grid);
+            for (k, (magnitude, sum)) in magnitudes.iter_mut().zip(sums).enumerate() {
+                *magnitude = if events < 256 {
+                    dwt::small_magnitude(sum.integer(), k)
+                } else {
+                    dwt::magnitude(sum.integer(), k)
+                };
+            }
+            self.kept.clear(grid);
+            largest(magnitudes, self.r, work, self.kept);
+        }
+        if self.quantiser.step_log2() > 0 {
+            for (k, sum) in sums.iter().enumerate().take(grid).skip(1) {
+                if self.quantiser.haar(sum.integer(), dwt::scale_of(k)) == 0 {
+                    self.kept.remove(k);
+                }
             }
         }
     }
 }
 
-/// Prune and quantise.
-fn select_levels<B: Basis, C: Coefficient>(
-    pixel: Pixel,
-    header: &Header,
-    sums: &[C],
-    magnitudes: &mut [u64],
-    trace: &mut impl Trace,
-) -> (Descriptor, u32) {
-    trace.enter(Stage::Prune);
-    let grid = usize::from(header.grid);
-    let r = header.packing().kept();
-    let mut kept = Kept::new();
-    // All coefficients of a single event have the magnitude 1 in the DTFT: all tie.
-    let all_tie = B::TRANSFORM as u8 == Transform::Dtft as u8 && pixel.on + pixel.off == 1;
-    match B::RULE {
-        Rule::Magnitude if !all_tie && r < grid => {
-            let (magnitudes, work) = magnitudes[..2 * grid].split_at_mut(grid);
-            for (k, magnitude) in magnitudes.iter_mut().enumerate() {
-                *magnitude = B::magnitude(sums, grid, k);
-            }
-            largest(magnitudes, r, work, &mut kept);
-        }
-        Rule::Magnitude | Rule::LowFrequency => low_frequency(r, &mut kept),
+/// x^2 / 2^32
+#[inline(always)]
+fn square(x: i32) -> u32 {
+    mul_high(x, x) as u32
+}
+
+/// Levels that saturate; none of a single chunk's.
+#[inline(always)]
+fn cut<'s, C: Coefficient + 's>(sums: impl Iterator<Item = &'s C>, quantiser: Quantiser) -> u32 {
+    if !C::CAN_SATURATE {
+        return 0;
     }
-    trace.enter(Stage::Quantise);
-    let mut descriptor = Descriptor {
-        x: pixel.x,
-        y: pixel.y,
-        on: pixel.on,
-        off: pixel.off,
-        ..Descriptor::EMPTY
-    };
-    let mut saturated = 0;
-    for k in kept {
-        let (level, cut) = B::level(sums, grid, usize::from(k), header.quantiser);
-        saturated += u32::from(cut);
-        if (level.re, level.im) != (0, 0) {
-            // Never full: at most M_MAX are kept.
-            let _ = descriptor.levels.push(level);
-        }
-    }
-    (descriptor, saturated)
+    sums.filter(|sum| sum.is_cut(quantiser.shift())).count() as u32
 }
 
 /// A window and its encoder: pushes events, returns frames.

@@ -2,88 +2,206 @@
 //!
 //! | quantity | type | range | resolution |
 //! |---|---|---|---|
-//! | phase u = (t - t0) / T, a fraction of a turn | [`Phase`] = U0F32 | [0, 1) | 2^-32, exact floor |
-//! | atom value | [`Atom`] = I1F15 | [-1, 1 - 2^-15] | 2^-15 |
+//! | phase u = (t - t0) / T, a fraction of a turn | [`Phase`] = U0F32 | [0, 1) | 2^-32 |
+//! | atom value | [`Atom`] = I2F30 | [-1, 1] | 2^-30 |
 //! | sum of up to [`CHUNK_EVENTS`] atoms | [`Sum`] = I9F23 | ±256 | 2^-23 |
 //! | sum over a window | [`WideSum`] = I41F23 | ±2^40 | 2^-23 |
 //!
-//! An interpolated atom is a 16-bit table value times an 8-bit weight, so it is exact in 23
-//! fractional bits: the sums add without any rounding, and the only rounding of the path is the
-//! quantiser's (half away from zero, [`round_shift`]).
+//! Products keep their upper 32 bits ([`mul_high`], one instruction where a 32 x 32 multiplier is):
+//! an atom enters a sum floored to 2^-23. The sums add without any rounding, and the quantiser
+//! floors to the middle of its step ([`crate::quantise`]).
 
-use fixed::types::{I1F15, I9F23, I41F23, U0F32};
+use fixed::types::{I2F30, I9F23, I41F23, U0F32};
 
 /// Fraction of a turn; wraps, so that k * phase never drifts.
 pub type Phase = U0F32;
 /// Value of an atom.
-pub type Atom = I1F15;
-/// Exact sum of at most [`CHUNK_EVENTS`] signed atoms.
+pub type Atom = I2F30;
+/// Sum of at most [`CHUNK_EVENTS`] signed atoms.
 pub type Sum = I9F23;
-/// Exact sum over all events that a window can hold.
+/// Sum over all events that a window can hold.
 pub type WideSum = I41F23;
 
-/// Events whose atoms, each at most 1 in magnitude, [`Sum`] holds without overflow.
-pub const CHUNK_EVENTS: usize = 255;
+/// Events summed in one go; [`Sum`] holds up to 255 without overflow.
+pub const CHUNK_EVENTS: usize = 64;
+const _: () = assert!(CHUNK_EVENTS < 256);
+
+/// floor(a b / 2^32)
+#[inline(always)]
+#[must_use]
+pub fn mul_high(a: i32, b: i32) -> i32 {
+    dsp::mul_high(a, b)
+}
+
+/// a b / 2^32, rounded half up.
+#[inline(always)]
+#[must_use]
+pub fn mul_high_round(a: i32, b: i32) -> i32 {
+    dsp::mul_high_round(a, b)
+}
+
+/// `sum` + floor(a b / 2^32), wrapping.
+#[inline(always)]
+#[must_use]
+pub fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
+    dsp::mul_high_add(sum, a, b)
+}
+
+/// Everywhere else.
+#[cfg_attr(eecvs_dsp, allow(dead_code))]
+mod portable {
+    #[inline(always)]
+    pub const fn mul_high(a: i32, b: i32) -> i32 {
+        ((a as i64 * b as i64) >> 32) as i32
+    }
+
+    #[inline(always)]
+    pub const fn mul_high_round(a: i32, b: i32) -> i32 {
+        ((a as i64 * b as i64 + (1 << 31)) >> 32) as i32
+    }
+
+    #[inline(always)]
+    pub const fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
+        sum.wrapping_add(mul_high(a, b))
+    }
+}
+
+/// One instruction each. The compiler finds them too, but where it knows a sign or a constant it
+/// takes three others instead.
+#[cfg(eecvs_dsp)]
+#[allow(unsafe_code)]
+mod dsp {
+    use core::arch::asm;
+
+    #[inline(always)]
+    pub fn mul_high(a: i32, b: i32) -> i32 {
+        let product;
+        // SAFETY: reads two registers, writes a third, touches neither memory nor flags; the build
+        // script sets `eecvs_dsp` only for cores that have the instruction.
+        unsafe {
+            asm!("smmul {}, {}, {}", lateout(reg) product, in(reg) a, in(reg) b,
+                options(pure, nomem, nostack, preserves_flags));
+        }
+        product
+    }
+
+    #[inline(always)]
+    pub fn mul_high_round(a: i32, b: i32) -> i32 {
+        let product;
+        // SAFETY: as for `mul_high`.
+        unsafe {
+            asm!("smmulr {}, {}, {}", lateout(reg) product, in(reg) a, in(reg) b,
+                options(pure, nomem, nostack, preserves_flags));
+        }
+        product
+    }
+
+    #[inline(always)]
+    pub fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
+        let total;
+        // SAFETY: as for `mul_high`.
+        unsafe {
+            asm!("smmla {0}, {2}, {3}, {1}", lateout(reg) total, in(reg) sum, in(reg) a, in(reg) b,
+                options(pure, nomem, nostack, preserves_flags));
+        }
+        total
+    }
+}
+
+#[cfg(not(eecvs_dsp))]
+use portable as dsp;
 
 /// A coefficient in either width: what pruning and quantising need of it.
 pub trait Coefficient: Copy {
+    /// Whether [`Self::is_cut`] ever holds.
+    const CAN_SATURATE: bool;
+
+    /// `value`, which must be in range.
+    fn from_integer(value: i32) -> Self;
+
     /// The value with 23 fractional bits.
     fn wide(self) -> WideSum;
 
-    /// re^2 + im^2, in an order-preserving scale that fits 64 bits.
-    fn energy(re: Self, im: Self) -> u64;
+    /// floor(value / 2^-23 / 2^`shift`), cut to 32 bits; `shift` is 8 to 31.
+    fn level(self, shift: u32) -> i32;
+
+    /// Whether [`Self::level`] cuts.
+    fn is_cut(self, shift: u32) -> bool;
+
+    /// The integer part.
+    fn integer(self) -> i32;
+
+    /// The value with 31 fractional bits of n, for |value| < n = any count of `width` bits.
+    fn relative(self, width: u32) -> i32;
 }
 
 impl Coefficient for Sum {
-    #[inline]
+    const CAN_SATURATE: bool = false;
+
+    #[inline(always)]
+    fn from_integer(value: i32) -> Self {
+        Self::from_bits(value << 23)
+    }
+
+    #[inline(always)]
     fn wide(self) -> WideSum {
         WideSum::from_bits(i64::from(self.to_bits()))
     }
 
-    /// 46 fractional bits, exact: |c| < 2^8, so the sum of the squares is below 2^63.
-    #[inline]
-    fn energy(re: Self, im: Self) -> u64 {
-        square(re.to_bits()) + square(im.to_bits())
+    #[inline(always)]
+    fn level(self, shift: u32) -> i32 {
+        self.to_bits() >> (shift & 31)
+    }
+
+    #[inline(always)]
+    fn is_cut(self, _: u32) -> bool {
+        false
+    }
+
+    #[inline(always)]
+    fn integer(self) -> i32 {
+        self.to_bits() >> 23
+    }
+
+    /// `width` is at most 8: a chunk holds fewer than 256 events.
+    #[inline(always)]
+    fn relative(self, width: u32) -> i32 {
+        self.to_bits() << (8_u32.wrapping_sub(width) & 31)
     }
 }
 
-#[inline]
-fn square(bits: i32) -> u64 {
-    let magnitude = u64::from(bits.unsigned_abs());
-    magnitude * magnitude
-}
-
 impl Coefficient for WideSum {
+    const CAN_SATURATE: bool = true;
+
+    #[inline]
+    fn from_integer(value: i32) -> Self {
+        Self::from_bits(i64::from(value) << 23)
+    }
+
     #[inline]
     fn wide(self) -> WideSum {
         self
     }
 
-    /// 15 fractional bits: a window holds fewer than 2^24 events, so |c|^2 < 2^48. What is cut
-    /// moves |c| by less than 2^-7, half of the error bound of a pixel with that many events.
     #[inline]
-    fn energy(re: Self, im: Self) -> u64 {
-        let square = |bits: i64| {
-            let magnitude = u128::from(bits.unsigned_abs());
-            magnitude * magnitude
-        };
-        let sum = (square(re.to_bits()) + square(im.to_bits())) >> 31;
-        u64::try_from(sum).unwrap_or(u64::MAX)
+    fn level(self, shift: u32) -> i32 {
+        (self.to_bits() >> (shift & 31)).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
     }
-}
 
-/// `value` / 2^`shift`, rounded half away from zero.
-///
-/// `shift` is 0 to 62 and `|value|` below 2^62.
-#[inline]
-#[must_use]
-pub const fn round_shift(value: i64, shift: u32) -> i64 {
-    if shift == 0 {
-        return value;
+    #[inline]
+    fn is_cut(self, shift: u32) -> bool {
+        i64::from(self.level(shift)) != self.to_bits() >> (shift & 31)
     }
-    let magnitude = (value.unsigned_abs() + (1 << (shift - 1))) >> shift;
-    let magnitude = magnitude as i64;
-    if value < 0 { -magnitude } else { magnitude }
+
+    #[inline]
+    fn integer(self) -> i32 {
+        (self.to_bits() >> 23) as i32
+    }
+
+    #[inline]
+    fn relative(self, width: u32) -> i32 {
+        ((self.to_bits() << 8) >> (width & 31)) as i32
+    }
 }
 
 #[cfg(test)]
@@ -91,30 +209,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rounds_half_away_from_zero() {
-        for (value, shift, expected) in [
-            (0, 3, 0),
-            (4, 3, 1),
-            (3, 3, 0),
-            (-4, 3, -1),
-            (-3, 3, 0),
-            (12, 3, 2),
-            (-12, 3, -2),
-            (7, 0, 7),
-            (i64::from(i32::MIN), 23, -256),
-        ] {
-            assert_eq!(round_shift(value, shift), expected, "{value} >> {shift}");
+    fn both_widths_agree() {
+        for value in [-3.75, -1.0, -0.5, -0.0078125, 0.0, 0.25, 0.999, 3.5] {
+            let (sum, wide) = (Sum::from_num(value), WideSum::from_num(value));
+            assert_eq!(sum.wide(), wide);
+            for shift in [8, 17, 23, 31] {
+                assert_eq!(sum.level(shift), wide.level(shift), "{value} {shift}");
+                assert!(!sum.is_cut(shift) && !wide.is_cut(shift));
+            }
+            assert_eq!(sum.relative(2), wide.relative(2), "{value}");
+            assert_eq!(sum.integer(), wide.integer());
         }
     }
 
     #[test]
-    fn energy_of_a_full_chunk_fits() {
-        let full = Sum::from_num(CHUNK_EVENTS as i32);
-        assert_eq!(
-            Coefficient::energy(full, full),
-            2 * (u64::from(CHUNK_EVENTS as u32) << 23).pow(2)
-        );
-        let most = WideSum::from_num(1_i64 << 24);
-        assert_eq!(Coefficient::energy(most, WideSum::ZERO), 1 << 63);
+    fn the_largest_values_are_cut_and_told() {
+        for (value, level, is_cut) in [
+            (65_535, 65_535 << 15, false),
+            (65_536, i32::MAX, true),
+            (-65_536, i32::MIN, false),
+            (-65_537, i32::MIN, true),
+        ] {
+            let value = WideSum::from_num(value);
+            assert_eq!((value.level(8), value.is_cut(8)), (level, is_cut));
+        }
+        let most = WideSum::from_num((1 << 24) - 1);
+        assert_eq!(most.relative(24), ((1 << 24) - 1) << 7);
+        assert_eq!((-most).relative(24), -((1 << 24) - 1) << 7);
     }
 }

@@ -6,8 +6,6 @@
 
 use core::mem;
 
-use crate::fixed_point::CHUNK_EVENTS;
-use crate::phase::PhaseScale;
 use crate::transform::Impulse;
 use crate::window::{Head, SEGMENT_PIXELS, Slot, Window, index};
 
@@ -128,39 +126,36 @@ impl Default for Group {
     }
 }
 
-/// A pixel's events as impulses, a chunk at a time.
-#[derive(Debug)]
-pub struct Chunks<'s> {
+/// A pixel's events, oldest first.
+#[derive(Debug, Clone)]
+pub struct Impulses<'s> {
     slots: &'s [Slot],
     next: u32,
-    scale: PhaseScale,
 }
 
-impl<'s> Chunks<'s> {
-    /// The events of `pixel` in a window of `scale`'s duration.
+impl<'s> Impulses<'s> {
+    /// The events of `pixel`.
+    #[inline(always)]
     #[must_use]
-    pub const fn new(pixel: Pixel, slots: &'s [Slot], scale: PhaseScale) -> Self {
+    pub const fn new(pixel: Pixel, slots: &'s [Slot]) -> Self {
         Self {
             slots,
             next: pixel.head,
-            scale,
         }
     }
+}
 
-    /// Fills `impulses` with the next events and returns those filled; empty at the end.
-    pub fn fill<'i>(&mut self, impulses: &'i mut [Impulse; CHUNK_EVENTS]) -> &'i [Impulse] {
-        let mut len = 0;
-        for impulse in impulses.iter_mut() {
-            let Some(slot) = self.slots.get(self.next.wrapping_sub(1) as usize) else {
-                break;
-            };
-            *impulse = Impulse {
-                phase: self.scale.phase(slot.offset_us()),
-                sign: slot.sign(),
-            };
-            self.next = slot.next();
-            len += 1;
-        }
-        &impulses[..len]
+impl Iterator for Impulses<'_> {
+    type Item = Impulse;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Impulse> {
+        // 0, the end of the list, is turned into an index beyond any buffer.
+        let slot = self.slots.get(self.next.wrapping_sub(1) as usize)?;
+        self.next = slot.next();
+        Some(Impulse {
+            offset_us: slot.offset_us(),
+            is_on: slot.is_on(),
+        })
     }
 }

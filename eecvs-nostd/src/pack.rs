@@ -7,15 +7,20 @@
 
 use heapless::Vec;
 
-use crate::bits::{BitReader, BitWriter, Ended, Full};
+use crate::bits::{BitReader, BitWriter, Ended, Full, exp_golomb};
 use crate::descriptor::Descriptor;
 use crate::event::Sensor;
-use crate::quantise::{Level, Quantiser};
+use crate::prune::Kept;
+use crate::quantise::{Level, Levels, Quantiser};
+use crate::transform::dwt::{bin_is_told, bin_of, single_levels};
 use crate::transform::{M_MAX, Rule, Transform};
 
 /// Bytes that one packed pixel can take at the most: gap and counts 15, which coefficients 81,
-/// 128 numbers of 7; `the_largest_pixel_fits_its_bound` packs it.
-pub const PIXEL_BYTES_MAX: usize = 1100;
+/// 128 numbers of 4; `the_largest_pixel_fits_its_bound` packs it.
+pub const PIXEL_BYTES_MAX: usize = 620;
+
+/// Largest K whose set of coefficients is always sent as a bit each.
+const MASK_GRID_MAX: u16 = 32;
 
 /// How a payload is malformed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -102,25 +107,41 @@ impl Packing {
         }
     }
 
-    /// Plain bits of a level's Rice code for a pixel of n events: |c| grows as sqrt(n), and a
-    /// Haar level counts events and not steps.
-    fn rice_bits(&self, events: u32) -> u32 {
-        let growth = events.ilog2() as i32 / 2;
-        let steps = match self.transform {
+    /// Bits of the widest level that a pixel of `events` can have: |c| < n.
+    #[inline(always)]
+    fn level_bits_max(&self, events: u32) -> u32 {
+        let fraction_bits = match self.transform {
             Transform::Dct | Transform::Dtft => -i32::from(self.quantiser.step_log2()),
-            Transform::Dwt => -(i32::from(self.quantiser.step_log2()).max(0)),
+            // Haar levels count events, or several of them at a coarse step.
+            Transform::Dwt => 0,
         };
-        (steps + growth).clamp(0, 31) as u32
+        let bits = width_of(events.wrapping_sub(1)) as i32 + fraction_bits;
+        (bits.max(0) as u32 + 1).min(32)
     }
 
-    /// Level of c_0, which the counts already tell.
-    fn level_zero(&self, on: u32, off: u32) -> Level {
-        let net = crate::fixed_point::WideSum::from_num(i64::from(on) - i64::from(off));
-        let (re, _) = match self.transform {
-            Transform::Dct | Transform::Dtft => self.quantiser.uniform(net),
-            Transform::Dwt => self.quantiser.haar(net, 0),
-        };
-        Level { k: 0, re, im: 0 }
+    /// log2 of K, a power of two for the DWT, and r.
+    #[inline(always)]
+    const fn haar_shape(&self) -> (u32, u32) {
+        ((self.grid as u32 | 1).ilog2(), self.kept() as u32)
+    }
+
+    const fn index_bits(&self) -> u32 {
+        width_of((self.grid as u32).wrapping_sub(1))
+    }
+
+    /// Whether a list of indices is shorter than a bit per grid point.
+    const fn lists_indices(&self, count: u32) -> bool {
+        self.grid > MASK_GRID_MAX && count * self.index_bits() < self.grid as u32
+    }
+
+    /// What packs the pixels of a frame, from its first.
+    #[must_use]
+    pub const fn packer(&self) -> Packer {
+        Packer {
+            packing: *self,
+            gap_order: self.gap_order(),
+            next_index: 0,
+        }
     }
 
     /// Appends `descriptor`; `next_index` is the raster index after the previous pixel's.
@@ -133,84 +154,180 @@ impl Packing {
         next_index: &mut u32,
         writer: &mut BitWriter<'_>,
     ) -> Result<(), Full> {
-        let index =
-            u32::from(descriptor.y) * u32::from(self.sensor.width) + u32::from(descriptor.x);
-        writer.put_exp_golomb(index - *next_index, self.gap_order())?;
+        let mut packer = Packer {
+            next_index: *next_index,
+            ..self.packer()
+        };
+        packer.pack(descriptor, writer);
+        *next_index = packer.next_index;
+        if writer.is_full() { Err(Full) } else { Ok(()) }
+    }
+}
+
+/// Packs pixel after pixel: [`Self::place`], then what the transform sends of it.
+///
+/// Nothing is an error here: ask the writer whether it [`BitWriter::is_full`] after each pixel.
+#[derive(Debug, Clone, Copy)]
+pub struct Packer {
+    packing: Packing,
+    gap_order: u32,
+    /// Raster index after the previous pixel's.
+    next_index: u32,
+}
+
+impl Packer {
+    /// Where a pixel is and what it counts. Pixels come in raster order.
+    #[inline(always)]
+    pub fn place(&mut self, (x, y): (u16, u16), (on, off): (u32, u32), writer: &mut BitWriter<'_>) {
+        let index = u32::from(y) * u32::from(self.packing.sensor.width) + u32::from(x);
+        let gap = index.wrapping_sub(self.next_index);
+        self.next_index = index + 1;
+        let events = on + off;
+        let (counts, more_bits) = exp_golomb(events.wrapping_sub(1), 0);
+        let on_bits = width_of(events);
+        let (gap_code, gap_bits) = exp_golomb(gap, self.gap_order);
+        let counts_bits = more_bits + on_bits;
+        if counts_bits + gap_bits <= 32 {
+            // The 1 above the first code is taken off the number that follows it.
+            let on = on.wrapping_sub(1) << (more_bits & 31);
+            let counts = counts.wrapping_add(on);
+            let code = counts | (gap_code << (counts_bits & 31));
+            writer.put_some(code, counts_bits + gap_bits);
+        } else {
+            self.place_long(gap, events, on, writer);
+        }
+    }
+
+    /// [`Self::place`] where one word does not hold it.
+    #[cold]
+    #[inline(never)]
+    fn place_long(&self, gap: u32, events: u32, on: u32, writer: &mut BitWriter<'_>) {
+        writer.put_exp_golomb(events.wrapping_sub(1), 0);
+        writer.put(on, width_of(events));
+        writer.put_exp_golomb(gap, self.gap_order);
+    }
+
+    /// The levels of a pixel of `events`, none where `levels` has none.
+    #[inline(always)]
+    pub fn levels(&self, events: u32, levels: &impl Levels, writer: &mut BitWriter<'_>) {
+        let most = self.packing.level_bits_max(events);
+        let mut bits = most;
+        if events > 1 {
+            // The bits that are not copies of the sign, of any of the levels.
+            let mut spread = 0;
+            levels.for_each(|level| spread |= (level ^ (level >> 31)) as u32);
+            // Never more than `most`: |c| < n, and saturated levels have 32 bits.
+            bits = (width_of(spread) + 1).min(most);
+            writer.put_unary(most - bits);
+        }
+        levels.put(bits, writer);
+    }
+
+    /// Which coefficients are sent, for the transforms that keep the largest.
+    #[inline(always)]
+    pub fn set(&self, events: u32, kept: &Kept, writer: &mut BitWriter<'_>) {
+        let grid = usize::from(self.packing.grid);
+        let words = kept.words(grid);
+        let first = words.first().copied().unwrap_or(0);
+        if self.packing.transform.is_complex() {
+            let r = self.packing.kept() as u32;
+            if events == 1 || r as usize == grid {
+                return;
+            }
+            let contiguous = is_low(kept, grid, r);
+            if contiguous {
+                return writer.put(1, 1);
+            }
+            writer.put(0, 1);
+        }
+        if self.packing.grid <= MASK_GRID_MAX {
+            return writer.put(first, u32::from(self.packing.grid));
+        }
+        let count = kept.count(grid);
+        if !self.packing.transform.is_complex() {
+            writer.put(count, width_of(self.packing.kept() as u32));
+        }
+        if self.packing.lists_indices(count) {
+            kept.for_each(grid, |k| writer.put(k as u32, self.packing.index_bits()));
+        } else {
+            for (index, word) in words.iter().enumerate() {
+                writer.put(*word, (grid - 32 * index).min(32) as u32);
+            }
+        }
+    }
+
+    /// The bin of a pixel with a single event: its Haar coefficients.
+    #[inline(always)]
+    pub fn bin(&self, bin: u32, writer: &mut BitWriter<'_>) {
+        let shape = self.packing.haar_shape();
+        if bin_is_told(shape, self.packing.quantiser) {
+            writer.put(bin, shape.0);
+        }
+    }
+
+    fn pack(&mut self, descriptor: &Descriptor, writer: &mut BitWriter<'_>) {
+        let (on, off) = (descriptor.on, descriptor.off);
         let events = descriptor.events();
-        writer.put_exp_golomb(events - 1, 0)?;
-        writer.put(descriptor.on, width_of(events))?;
-        match self.transform.rule() {
-            Rule::LowFrequency => self.pack_run(descriptor, writer)?,
-            Rule::Magnitude => self.pack_set(descriptor, writer)?,
+        self.place((descriptor.x, descriptor.y), (on, off), writer);
+        if self.packing.transform == Transform::Dwt && events == 1 {
+            let finest = descriptor.levels.last().copied().unwrap_or(Level::NONE);
+            let sign = on as i32 - off as i32;
+            return self.bin(bin_of(finest, sign, self.packing.haar_shape().0), writer);
         }
-        *next_index = index + 1;
-        Ok(())
-    }
-
-    /// Coefficients 0..len, zeros in between included.
-    fn pack_run(&self, descriptor: &Descriptor, writer: &mut BitWriter<'_>) -> Result<(), Full> {
-        let bits = self.rice_bits(descriptor.events());
-        let len = descriptor
-            .levels
-            .last()
-            .map_or(0, |level| u32::from(level.k) + 1);
-        writer.put(len, width_of(self.kept() as u32))?;
-        let mut levels = descriptor.levels.iter().peekable();
-        for k in 0..len {
-            let level = levels.next_if(|level| u32::from(level.k) == k);
-            if k > 0 {
-                writer.put_rice(level.map_or(0, |level| level.re), bits)?;
+        if self.packing.transform.rule() == Rule::Magnitude {
+            let mut kept = Kept::NONE;
+            for level in &descriptor.levels {
+                kept.insert(usize::from(level.k));
             }
+            self.set(events, &kept, writer);
         }
-        Ok(())
+        let levels = DescriptorLevels {
+            transform: self.packing.transform,
+            levels: &descriptor.levels,
+        };
+        if descriptor.levels.iter().any(|level| level.k > 0) {
+            self.levels(events, &levels, writer);
+        }
     }
+}
 
-    /// A set of coefficients: how many, which, and their levels.
-    fn pack_set(&self, descriptor: &Descriptor, writer: &mut BitWriter<'_>) -> Result<(), Full> {
-        let levels = &descriptor.levels;
-        let count = levels.len() as u32;
-        writer.put(count, width_of(self.kept() as u32))?;
-        if count == 0 {
-            return Ok(());
-        }
-        let contiguous = levels
-            .last()
-            .is_some_and(|level| u32::from(level.k) + 1 == count);
-        writer.put(u32::from(contiguous), 1)?;
-        if !contiguous {
-            if self.lists_indices(count) {
-                for level in levels {
-                    writer.put(u32::from(level.k), self.index_bits())?;
-                }
+/// Whether `kept` is 0..`r` of a grid.
+#[inline(always)]
+fn is_low(kept: &Kept, grid: usize, r: u32) -> bool {
+    kept.words(grid).iter().enumerate().all(|(index, word)| {
+        let before = 32 * index as u32;
+        let here = r.saturating_sub(before);
+        *word
+            == if here >= 32 {
+                u32::MAX
             } else {
-                let mut ks = levels.iter().map(|level| level.k).peekable();
-                for k in 0..self.grid {
-                    writer.put(u32::from(ks.next_if_eq(&k).is_some()), 1)?;
+                !(u32::MAX << here)
+            }
+    })
+}
+
+/// A descriptor's levels as they are on the link.
+struct DescriptorLevels<'d> {
+    transform: Transform,
+    levels: &'d [Level],
+}
+
+impl Levels for DescriptorLevels<'_> {
+    fn for_each(&self, mut each: impl FnMut(i32)) {
+        for level in self.levels.iter().filter(|level| level.k > 0) {
+            match self.transform {
+                Transform::Dct => each(level.re),
+                Transform::Dtft => {
+                    each(level.re);
+                    each(level.im);
                 }
+                Transform::Dwt => each(level.re - i32::from(level.re > 0)),
             }
         }
-        let bits = self.rice_bits(descriptor.events());
-        for level in levels.iter().filter(|level| level.k > 0) {
-            if self.transform.is_complex() {
-                writer.put_rice(level.re, bits)?;
-                writer.put_rice(level.im, bits)?;
-            } else {
-                // Never 0, so the positive values move down to it.
-                writer.put_rice(level.re - i32::from(level.re > 0), bits)?;
-            }
-        }
-        Ok(())
     }
+}
 
-    const fn index_bits(&self) -> u32 {
-        width_of(self.grid as u32 - 1)
-    }
-
-    /// Whether a list of indices is shorter than a bit per grid point.
-    const fn lists_indices(&self, count: u32) -> bool {
-        count * self.index_bits() < self.grid as u32
-    }
-
+impl Packing {
     /// Reads the next pixel; the inverse of [`Packing::pack`]. At most `events_left` events.
     ///
     /// # Errors
@@ -221,11 +338,6 @@ impl Packing {
         events_left: u32,
         reader: &mut BitReader<'_>,
     ) -> Result<Descriptor, UnpackError> {
-        let gap = reader.get_exp_golomb(self.gap_order())?;
-        let index = next_index.checked_add(gap).ok_or(UnpackError::Position)?;
-        if index >= self.sensor.pixels() {
-            return Err(UnpackError::Position);
-        }
         let more = reader.get_exp_golomb(0)?;
         if more >= events_left {
             return Err(UnpackError::Events);
@@ -233,6 +345,11 @@ impl Packing {
         let events = more + 1;
         let on = reader.get(width_of(events))?;
         let off = events.checked_sub(on).ok_or(UnpackError::Events)?;
+        let gap = reader.get_exp_golomb(self.gap_order())?;
+        let index = next_index.checked_add(gap).ok_or(UnpackError::Position)?;
+        if index >= self.sensor.pixels() {
+            return Err(UnpackError::Position);
+        }
         let width = u32::from(self.sensor.width);
         let mut descriptor = Descriptor {
             x: (index % width) as u16,
@@ -241,108 +358,112 @@ impl Packing {
             off,
             levels: Vec::new(),
         };
-        match self.transform.rule() {
-            Rule::LowFrequency => self.unpack_run(&mut descriptor, reader)?,
-            Rule::Magnitude => self.unpack_set(&mut descriptor, reader)?,
+        if self.transform == Transform::Dwt && events == 1 {
+            self.unpack_bin(&mut descriptor, reader)?;
+        } else {
+            self.unpack_levels(&mut descriptor, reader)?;
         }
         *next_index = index + 1;
         Ok(descriptor)
     }
 
-    fn unpack_run(
+    fn unpack_bin(
         &self,
         descriptor: &mut Descriptor,
         reader: &mut BitReader<'_>,
     ) -> Result<(), UnpackError> {
-        let bits = self.rice_bits(descriptor.events());
-        let len = reader.get(width_of(self.kept() as u32))?;
-        if len as usize > self.kept() {
-            return Err(UnpackError::Levels);
-        }
-        for k in 0..len as u16 {
-            let level = if k == 0 {
-                self.level_zero(descriptor.on, descriptor.off)
-            } else {
-                Level {
-                    k,
-                    re: reader.get_rice(bits)?,
-                    im: 0,
-                }
-            };
-            if level.re != 0 {
-                descriptor
-                    .levels
-                    .push(level)
-                    .map_err(|_| UnpackError::Levels)?;
-            }
-        }
-        // The encoder's last coefficient is never 0: a length has one meaning.
-        if descriptor
-            .levels
-            .last()
-            .map_or(0, |level| u32::from(level.k) + 1)
-            != len
-        {
-            return Err(UnpackError::Levels);
-        }
+        let shape = self.haar_shape();
+        let bin = if bin_is_told(shape, self.quantiser) {
+            reader.get(shape.0)?
+        } else {
+            0
+        };
+        let sign = descriptor.on as i32 - descriptor.off as i32;
+        single_levels(bin, sign, shape, self.quantiser, |level| {
+            // Never full: at most r of them.
+            let _ = descriptor.levels.push(level);
+        });
         Ok(())
     }
 
-    fn unpack_set(
+    fn unpack_levels(
         &self,
         descriptor: &mut Descriptor,
         reader: &mut BitReader<'_>,
     ) -> Result<(), UnpackError> {
-        let count = reader.get(width_of(self.kept() as u32))?;
-        if count as usize > self.kept() {
-            return Err(UnpackError::Levels);
+        let events = descriptor.events();
+        let ks = self.unpack_set(events, reader)?;
+        let mut bits = self.level_bits_max(events);
+        let has_width = events > 1 && ks.iter().any(|k| *k > 0);
+        if has_width {
+            let less = reader.get_unary(32)?;
+            bits = bits
+                .checked_sub(less)
+                .filter(|bits| *bits > 0)
+                .ok_or(UnpackError::Levels)?;
         }
-        if count == 0 {
-            return Ok(());
-        }
-        let ks = self.unpack_indices(count, reader)?;
-        let bits = self.rice_bits(descriptor.events());
+        let mut spread = 0;
+        let mut next = || -> Result<i32, UnpackError> {
+            let level = (reader.get(bits)? << (32 - bits)) as i32 >> (32 - bits);
+            spread |= (level ^ (level >> 31)) as u32;
+            Ok(level)
+        };
         for k in ks {
-            let level = if k == 0 {
-                self.level_zero(descriptor.on, descriptor.off)
-            } else {
-                let re = reader.get_rice(bits)?;
-                if self.transform.is_complex() {
-                    Level {
-                        k,
-                        re,
-                        im: reader.get_rice(bits)?,
-                    }
-                } else {
-                    let re = re
-                        .checked_add(i32::from(re >= 0))
-                        .ok_or(UnpackError::Levels)?;
-                    Level { k, re, im: 0 }
+            let (re, im) = match (k, self.transform) {
+                (0, _) => (descriptor.on as i32 - descriptor.off as i32, 0),
+                (_, Transform::Dct) => (next()?, 0),
+                (_, Transform::Dtft) => (next()?, next()?),
+                (_, Transform::Dwt) => {
+                    let re = next()?;
+                    // 25 bits at the most.
+                    (re + i32::from(re >= 0), 0)
                 }
             };
-            if (level.re, level.im) == (0, 0) {
+            if self.transform == Transform::Dwt && re == 0 {
                 return Err(UnpackError::Levels);
             }
             descriptor
                 .levels
-                .push(level)
+                .push(Level { k, re, im })
                 .map_err(|_| UnpackError::Levels)?;
+        }
+        // Narrower levels have a narrower width: a pixel has one encoding.
+        if has_width && width_of(spread) + 1 != bits {
+            return Err(UnpackError::Levels);
         }
         Ok(())
     }
 
-    fn unpack_indices(
+    /// Indices of the coefficients that are sent, k = 0 among them where it is kept.
+    fn unpack_set(
         &self,
-        count: u32,
+        events: u32,
         reader: &mut BitReader<'_>,
     ) -> Result<Vec<u16, M_MAX>, UnpackError> {
+        let r = self.kept() as u32;
         let mut ks = Vec::new();
         let mut keep = |k: u32| ks.push(k as u16).map_err(|_| UnpackError::Levels);
-        if reader.get(1)? == 1 {
-            (0..count).try_for_each(&mut keep)?;
-        } else if self.lists_indices(count) {
+        let is_low = match self.transform {
+            Transform::Dct => true,
+            Transform::Dtft => events == 1 || r == u32::from(self.grid) || reader.get(1)? == 1,
+            Transform::Dwt => false,
+        };
+        if is_low {
+            (0..r).try_for_each(keep)?;
+            return Ok(ks);
+        }
+        let mut count = None;
+        if self.transform.is_complex() {
+            count = Some(r);
+        } else if self.grid > MASK_GRID_MAX {
+            count = Some(reader.get(width_of(r))?);
+        }
+        if count.is_some_and(|count| count > r) {
+            return Err(UnpackError::Levels);
+        }
+        if count.is_some_and(|count| self.lists_indices(count)) {
             let mut least = 0;
-            for _ in 0..count {
+            for _ in 0..count.unwrap_or(0) {
                 let k = reader.get(self.index_bits())?;
                 if k < least || k >= u32::from(self.grid) {
                     return Err(UnpackError::Levels);
@@ -357,11 +478,15 @@ impl Packing {
                 }
             }
         }
-        if ks.len() as u32 == count {
-            Ok(ks)
-        } else {
-            Err(UnpackError::Levels)
+        let found = ks.len() as u32;
+        let is_contiguous = || ks.last().is_none_or(|last| u32::from(*last) + 1 == r);
+        if found > r
+            || count.is_some_and(|count| count != found)
+            || (self.transform.is_complex() && is_contiguous())
+        {
+            return Err(UnpackError::Levels);
         }
+        Ok(ks)
     }
 }
 
@@ -385,20 +510,28 @@ mod tests {
     }
 
     #[test]
-    fn rice_bits_follow_steps_and_events_and_haar_levels_events_alone() {
+    fn the_widest_level_follows_from_steps_and_events() {
         for (transform, step_log2, events, bits) in [
-            (Transform::Dct, -6, 1, 6),
-            (Transform::Dtft, -6, 4, 7),
-            (Transform::Dtft, 2, 1 << 10, 3),
-            (Transform::Dct, 8, 1, 0),
-            (Transform::Dwt, -6, 1, 0),
-            (Transform::Dwt, -15, 16, 2),
-            (Transform::Dwt, 2, 1 << 10, 3),
-            (Transform::Dwt, 8, 1, 0),
+            // -64 to 63
+            (Transform::Dct, -6, 1, 7),
+            (Transform::Dct, -6, 2, 8),
+            (Transform::Dtft, -6, 3, 9),
+            (Transform::Dtft, -6, 4, 9),
+            (Transform::Dtft, -15, 1 << 17, 32),
+            (Transform::Dct, -15, 1 << 23, 32),
+            // 1,024 events in steps of 4: -256 to 255
+            (Transform::Dtft, 2, 1 << 10, 9),
+            (Transform::Dtft, 2, (1 << 10) + 1, 10),
+            (Transform::Dct, 8, 256, 1),
+            (Transform::Dct, 8, 257, 2),
+            // -n to n without 0
+            (Transform::Dwt, -6, 2, 2),
+            (Transform::Dwt, -15, 16, 5),
+            (Transform::Dwt, 2, 17, 6),
         ] {
             let packing = packing(transform, 8, 16, step_log2);
             assert_eq!(
-                packing.rice_bits(events),
+                packing.level_bits_max(events),
                 bits,
                 "{transform:?} {step_log2} {events}"
             );
@@ -408,11 +541,12 @@ mod tests {
     #[test]
     fn indices_are_listed_only_where_that_is_shorter() {
         for (grid, count, lists) in [
-            (16, 3, true),
-            (16, 4, false),
+            (32, 1, false),
+            (33, 1, true),
+            (64, 10, true),
+            (64, 11, false),
             (1024, 64, true),
             (640, 64, false),
-            (1, 1, true),
         ] {
             let packing = packing(Transform::Dtft, 64, grid, 0);
             assert_eq!(packing.lists_indices(count), lists, "{count} of {grid}");
@@ -456,63 +590,111 @@ mod tests {
             }
         }
         assert!(longest <= PIXEL_BYTES_MAX, "{longest}");
-        // Not by chance: counts and gap, 640 bits of indices, 128 escaped numbers of 56 bits.
+        // Not by chance: counts and gap, 640 bits of indices, the levels' width in a bit, 128
+        // numbers of 32 bits. A narrower width takes 31 bits more at the most.
         assert_eq!(
             longest,
-            (45 + 47 + 24 + 7 + 1 + 640 + 128 * 56_usize).div_ceil(8)
+            (45 + 47 + 24 + 1 + 640 + 1 + 128 * 32_usize).div_ceil(8)
         );
+        assert!(longest + 31_usize.div_ceil(8) <= PIXEL_BYTES_MAX);
     }
 
-    /// Unpacks a pixel at (0, 0) with one ON event whose `fields` (value, bits) follow its counts.
-    fn unpack(packing: Packing, fields: &[(u32, u32)]) -> Result<Descriptor, UnpackError> {
+    /// Unpacks a pixel at (0, 0) with `on` ON events whose `fields` (value, bits) follow its
+    /// counts.
+    fn unpack(packing: Packing, on: u32, fields: &[(u32, u32)]) -> Result<Descriptor, UnpackError> {
         let mut bytes = [0; 64];
         let mut writer = BitWriter::new(&mut bytes);
-        writer.put_exp_golomb(0, 0).unwrap();
-        writer.put_exp_golomb(0, 0).unwrap();
-        writer.put(1, 1).unwrap();
+        writer.put_exp_golomb(on - 1, 0);
+        writer.put(on, width_of(on));
+        writer.put_exp_golomb(0, 0);
         for (value, bits) in fields {
-            writer.put(*value, *bits).unwrap();
+            writer.put(*value, *bits);
         }
         let len = writer.finish();
-        packing.unpack(&mut 0, 1, &mut BitReader::new(&bytes[..len]))
+        packing.unpack(&mut 0, on, &mut BitReader::new(&bytes[..len]))
     }
 
-    /// Rice codes without plain bits: zigzag 0, 1 and 2.
-    const ZERO: (u32, u32) = (0, 1);
-    const MINUS_ONE: (u32, u32) = (1, 2);
-    const ONE: (u32, u32) = (3, 3);
+    /// Levels' widths of the widest possible, and of one and two less.
+    const WIDEST: (u32, u32) = (1, 1);
+    const ONE_LESS: (u32, u32) = (2, 2);
+    const TWO_LESS: (u32, u32) = (4, 3);
 
     #[test]
     fn a_pixel_has_one_encoding() {
-        let set = packing(Transform::Dwt, 4, 16, 0);
-        let listed = |first: u32, second: u32, level| {
-            // A Haar level of 1 moves down to the code of 0.
-            let fields = [(2, 3), (0, 1), (first, 4), (second, 4), ZERO, level];
-            unpack(set, &fields)
-        };
-        assert_eq!(
-            listed(3, 5, MINUS_ONE).unwrap().levels[..],
-            [(3, 1), (5, -1)].map(|(k, re)| Level { k, re, im: 0 })
-        );
         let refused = Err(UnpackError::Levels);
-        assert_eq!(listed(5, 5, MINUS_ONE), refused, "an index twice");
-        assert_eq!(listed(5, 3, MINUS_ONE), refused, "descending indices");
-        let complex = packing(Transform::Dtft, 4, 16, 0);
-        let fields = [(1, 3), (0, 1), (3, 4), ZERO, ZERO];
-        assert_eq!(unpack(complex, &fields), refused, "a level of 0");
-        assert_eq!(unpack(set, &[(5, 3), (1, 1)]), refused, "more than M");
-
-        let run = packing(Transform::Dct, 4, 4, 0);
-        assert_eq!(unpack(run, &[(3, 3), ZERO, ONE]).unwrap().levels.len(), 2);
+        let levels = |descriptor: Result<Descriptor, _>| {
+            let levels = descriptor.unwrap().levels;
+            levels
+                .iter()
+                .map(|l| (l.k, l.re, l.im))
+                .collect::<std::vec::Vec<_>>()
+        };
+        // Two events: Haar levels of -2 to 2, of which the positive ones move down.
+        let set = packing(Transform::Dwt, 4, 16, 0);
+        let mask = |mask: u32, width, first: (u32, u32), second: (u32, u32)| {
+            unpack(set, 2, &[(mask, 16), width, first, second])
+        };
+        let found = mask(1 << 3 | 1 << 5, WIDEST, (1, 2), (3, 2));
+        assert_eq!(levels(found), [(3, 2, 0), (5, -1, 0)]);
+        let found = mask(1 << 3 | 1 << 5, ONE_LESS, (0, 1), (1, 1));
+        assert_eq!(levels(found), [(3, 1, 0), (5, -1, 0)]);
+        let found = mask(1 << 3 | 1 << 5, WIDEST, (0, 2), (3, 2));
+        assert_eq!(found, refused, "a width that no level needs");
+        let found = mask(1 << 3 | 1 << 5, TWO_LESS, (0, 1), (0, 1));
+        assert_eq!(found, refused, "a width of 0");
         assert_eq!(
-            unpack(run, &[(3, 3), ONE, ZERO]),
+            unpack(set, 2, &[(0x1f << 3, 16), WIDEST]),
             refused,
-            "a run that ends with 0"
+            "5 of 4"
         );
+        assert_eq!(levels(unpack(set, 2, &[(1, 16)])), [(0, 2, 0)]);
+        assert_eq!(levels(unpack(set, 2, &[(0, 16)])), []);
+
+        // More than 32 coefficients: as many as are sent, and a list.
+        let wide = packing(Transform::Dwt, 4, 64, 0);
+        let list = |first, second| {
+            let fields = [(2, 3), (first, 6), (second, 6), ONE_LESS, (0, 1), (0, 1)];
+            unpack(wide, 2, &fields)
+        };
+        assert_eq!(levels(list(3, 5)), [(3, 1, 0), (5, 1, 0)]);
+        assert_eq!(list(5, 5), refused, "an index twice");
+        assert_eq!(list(5, 3), refused, "descending indices");
+        assert_eq!(unpack(wide, 2, &[(5, 3), WIDEST]), refused, "more than M");
+
+        let complex = packing(Transform::Dtft, 2, 16, 0);
+        let pair = [ONE_LESS, (0, 1), (1, 1), (1, 1), (0, 1)];
+        let found = unpack(
+            complex,
+            2,
+            &[&[(0, 1), (1 << 3 | 1 << 5, 16)], &pair[..]].concat(),
+        );
+        assert_eq!(levels(found), [(3, 0, -1), (5, -1, 0)]);
+        let low = [&[(0, 1), (3, 16)], &pair[..]].concat();
+        assert_eq!(unpack(complex, 2, &low), refused, "the lowest as a set");
+        let one = [&[(0, 1), (1 << 3, 16)], &pair[..]].concat();
+        assert_eq!(unpack(complex, 2, &one), refused, "fewer than r");
+
+        let run = packing(Transform::Dct, 3, 3, 0);
         assert_eq!(
-            unpack(run, &[(5, 3), ONE, ONE, ONE, ONE]),
-            refused,
-            "more than r"
+            levels(unpack(run, 2, &[WIDEST, (1, 2), (0, 2)])),
+            [(0, 2, 0), (1, 1, 0), (2, 0, 0)]
+        );
+        let found = unpack(run, 2, &[WIDEST, (3, 2), (0, 2)]);
+        assert_eq!(found, refused, "a width that no level needs");
+        assert_eq!(
+            levels(unpack(run, 1, &[(1, 1), (0, 1)])),
+            [(0, 1, 0), (1, -1, 0), (2, 0, 0)]
+        );
+    }
+
+    #[test]
+    fn a_single_haar_event_is_its_bin() {
+        let set = packing(Transform::Dwt, 3, 8, 0);
+        let descriptor = unpack(set, 1, &[(6, 3)]).unwrap();
+        let levels = descriptor.levels.iter().map(|l| (l.k, l.re));
+        assert_eq!(
+            levels.collect::<std::vec::Vec<_>>(),
+            [(0, 1), (3, -1), (7, 1)]
         );
     }
 }

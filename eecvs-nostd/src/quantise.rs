@@ -1,10 +1,12 @@
 //! Coefficients to integer levels and back.
 
-use crate::fixed_point::{WideSum, round_shift};
+use crate::bits::BitWriter;
+use crate::fixed_point::Coefficient;
+use crate::prune::Kept;
 use crate::transform::Transform;
 use crate::transform::dwt::scale_of;
 
-/// A quantised coefficient. `im` is 0 for real transforms.
+/// A quantised coefficient. `im` is 0 for real transforms; c_0 = on - off stands as it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Level {
@@ -16,12 +18,20 @@ pub struct Level {
     pub im: i32,
 }
 
+impl Level {
+    /// c_0 = 0.
+    pub const NONE: Self = Self { k: 0, re: 0, im: 0 };
+}
+
 /// A uniform quantiser whose step is a power of two, D = 2^`step_log2`.
 ///
-/// level = round(c / D), half away from zero; |c - level D| <= D / 2. A Haar coefficient is
-/// D_k 2^(j/2) with D_k an integer, so its lattice is quantised instead: level = round(D_k / q_j)
-/// with q_j = max(1, floor(D / 2^(j/2))), hence the same bound, and no error at all where
-/// D <= 2^(j/2), which for steps up to 1 is everywhere.
+/// DCT and DTFT: level = floor(c / D) stands for the middle of its step, (level + 1/2) D, so
+/// |c - (level + 1/2) D| <= D / 2, and |c| < n takes the levels from -n / D to n / D - 1: with
+/// D <= 1, exactly log2(1 / D) + 1 bits for a single event.
+///
+/// A Haar coefficient is D_k 2^(j/2) with D_k an integer, so its lattice is quantised instead:
+/// level = round(D_k / q_j), half away from zero, with q_j = max(1, floor(D / 2^(j/2))), hence the
+/// same bound, and no error at all where D <= 2^(j/2), which for steps up to 1 is everywhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Quantiser {
@@ -52,29 +62,34 @@ impl Quantiser {
         self.step_log2
     }
 
-    /// round(`coefficient` / step); the flag says that the level did not fit 32 bits.
-    #[inline]
+    /// log2 of the step in units of 2^-23, 8 to 31: what [`Coefficient::level`] takes.
+    #[inline(always)]
     #[must_use]
-    pub const fn uniform(self, coefficient: WideSum) -> (i32, bool) {
-        let shift = (23 + self.step_log2 as i32) as u32;
-        saturate(round_shift(coefficient.to_bits(), shift))
+    pub const fn shift(self) -> u32 {
+        (23 + self.step_log2 as i32) as u32
     }
 
-    /// round(`difference` / q_j) for the Haar difference D_k at scale j.
+    /// floor(`coefficient` / D), cut to 32 bits.
+    #[inline(always)]
+    #[must_use]
+    pub fn uniform(self, coefficient: impl Coefficient) -> i32 {
+        coefficient.level(self.shift())
+    }
+
+    /// round(`difference` / q_j) for the Haar difference D_k at scale j, |D_k| < 2^24.
     #[inline]
     #[must_use]
-    pub const fn haar(self, difference: WideSum, scale: u32) -> (i32, bool) {
-        let difference = difference.to_bits() >> 23;
-        let divisor = self.haar_divisor(scale) as i64;
-        if divisor == 1 {
-            return saturate(difference);
+    pub const fn haar(self, difference: i32, scale: u32) -> i32 {
+        if self.step_log2 <= 0 {
+            return difference;
         }
-        let magnitude = (difference.unsigned_abs() as i64 + divisor / 2) / divisor;
-        saturate(if difference < 0 {
+        let divisor = self.haar_divisor(scale);
+        let magnitude = ((difference.unsigned_abs() + divisor / 2) / divisor) as i32;
+        if difference < 0 {
             -magnitude
         } else {
             magnitude
-        })
+        }
     }
 
     /// q_j = max(1, floor(2^(step_log2 - j/2))).
@@ -92,11 +107,12 @@ impl Quantiser {
     /// square root.
     #[must_use]
     pub fn dequantise(self, transform: Transform, level: Level) -> (f64, f64) {
+        if level.k == 0 {
+            return (f64::from(level.re), 0.0);
+        }
         match transform {
-            Transform::Dct | Transform::Dtft => {
-                let step = libm::exp2(f64::from(self.step_log2));
-                (f64::from(level.re) * step, f64::from(level.im) * step)
-            }
+            Transform::Dct => (self.middle(level.re), 0.0),
+            Transform::Dtft => (self.middle(level.re), self.middle(level.im)),
             Transform::Dwt => {
                 let scale = scale_of(usize::from(level.k));
                 let unit = libm::sqrt(f64::from(1_u32 << scale));
@@ -107,40 +123,170 @@ impl Quantiser {
             }
         }
     }
+
+    fn middle(self, level: i32) -> f64 {
+        (f64::from(level) + 0.5) * libm::exp2(f64::from(self.step_log2))
+    }
 }
 
-const fn saturate(level: i64) -> (i32, bool) {
-    if level > i32::MAX as i64 {
-        (i32::MAX, true)
-    } else if level < i32::MIN as i64 + 1 {
-        (i32::MIN + 1, true)
-    } else {
-        (level as i32, false)
+/// The levels of a pixel in the order of the link, quantised as they are asked for.
+pub trait Levels {
+    /// Calls `each` with every level but that of k = 0.
+    fn for_each(&self, each: impl FnMut(i32));
+
+    /// Puts the low `bits` (1 to 32) of every level but that of k = 0.
+    #[inline(always)]
+    fn put(&self, bits: u32, writer: &mut BitWriter<'_>) {
+        self.for_each(|level| writer.put_some(level as u32, bits));
+    }
+}
+
+/// `levels` side by side, `bits` of each, of which all N fit into 32.
+#[inline(always)]
+fn side_by_side<const N: usize>(levels: [i32; N], bits: u32) -> u32 {
+    let mask = !(u32::MAX << (bits & 31));
+    let mut all = 0;
+    for level in levels.into_iter().rev() {
+        all = (all << (bits & 31)) | (level as u32 & mask);
+    }
+    all
+}
+
+/// Levels of neighbouring coefficients: the DCT's k = 1..r, or both parts of the DTFT's.
+#[derive(Debug, Clone, Copy)]
+pub struct Run<'s, C> {
+    /// Coefficients from k = 1 on.
+    pub sums: &'s [C],
+    /// Quantiser.
+    pub quantiser: Quantiser,
+}
+
+impl<C: Coefficient> Levels for Run<'_, C> {
+    #[inline(always)]
+    fn for_each(&self, mut each: impl FnMut(i32)) {
+        for sum in self.sums {
+            each(self.quantiser.uniform(*sum));
+        }
+    }
+
+    #[inline(always)]
+    fn put(&self, bits: u32, writer: &mut BitWriter<'_>) {
+        let level = |sum: &C| self.quantiser.uniform(*sum);
+        let mut rest = self.sums;
+        if bits <= 8 {
+            while let Some((four, more)) = rest.split_first_chunk::<4>() {
+                writer.put_some(side_by_side(four.each_ref().map(level), bits), 4 * bits);
+                rest = more;
+            }
+        }
+        if bits <= 10 {
+            while let Some((three, more)) = rest.split_first_chunk::<3>() {
+                writer.put_some(side_by_side(three.each_ref().map(level), bits), 3 * bits);
+                rest = more;
+            }
+        }
+        for sum in rest {
+            writer.put_some(level(sum) as u32, bits);
+        }
+    }
+}
+
+/// Levels of kept complex coefficients: re and im in turn.
+#[derive(Debug, Clone, Copy)]
+pub struct Pairs<'s, C> {
+    /// K real parts, then K imaginary ones.
+    pub sums: &'s [C],
+    /// K
+    pub grid: usize,
+    /// Which are sent.
+    pub kept: &'s Kept,
+    /// Quantiser.
+    pub quantiser: Quantiser,
+}
+
+impl<C: Coefficient> Levels for Pairs<'_, C> {
+    #[inline(always)]
+    fn for_each(&self, mut each: impl FnMut(i32)) {
+        let (re, im) = self.sums.split_at(self.grid.min(self.sums.len()));
+        self.kept.for_each(self.grid, |k| {
+            if k > 0
+                && let (Some(re), Some(im)) = (re.get(k), im.get(k))
+            {
+                each(self.quantiser.uniform(*re));
+                each(self.quantiser.uniform(*im));
+            }
+        });
+    }
+
+    #[inline(always)]
+    fn put(&self, bits: u32, writer: &mut BitWriter<'_>) {
+        if bits > 16 {
+            return self.for_each(|level| writer.put_some(level as u32, bits));
+        }
+        let (re, im) = self.sums.split_at(self.grid.min(self.sums.len()));
+        self.kept.for_each(self.grid, |k| {
+            if k > 0
+                && let (Some(re), Some(im)) = (re.get(k), im.get(k))
+            {
+                let pair = [re, im].map(|sum| self.quantiser.uniform(*sum));
+                writer.put_some(side_by_side(pair, bits), 2 * bits);
+            }
+        });
+    }
+}
+
+/// Levels of kept Haar coefficients, of which none is 0: positive ones are moved down by one.
+#[derive(Debug, Clone, Copy)]
+pub struct Haar<'s, C> {
+    /// D_k from k = 0 on.
+    pub sums: &'s [C],
+    /// K
+    pub grid: usize,
+    /// Which are sent.
+    pub kept: &'s Kept,
+    /// Quantiser.
+    pub quantiser: Quantiser,
+}
+
+impl<C: Coefficient> Levels for Haar<'_, C> {
+    #[inline(always)]
+    fn for_each(&self, mut each: impl FnMut(i32)) {
+        self.kept.for_each(self.grid, |k| {
+            if k > 0
+                && let Some(sum) = self.sums.get(k)
+            {
+                let level = self.quantiser.haar(sum.integer(), scale_of(k));
+                each(level - i32::from(level > 0));
+            }
+        });
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixed_point::WideSum;
     use proptest::prelude::*;
 
     #[test]
     fn levels_at_the_edges() {
         let one = Quantiser::new(0).unwrap();
-        for (value, level) in [(0.5, 1), (-0.5, -1), (0.499, 0), (-1.5, -2), (255.0, 255)] {
-            assert_eq!(
-                one.uniform(WideSum::from_num(value)),
-                (level, false),
-                "{value}"
-            );
+        for (value, level) in [(0.5, 0), (-0.5, -1), (1.0, 1), (-1.0, -1), (255.0, 255)] {
+            assert_eq!(one.uniform(WideSum::from_num(value)), level, "{value}");
         }
-        let fine = Quantiser::new(-15).unwrap();
-        assert_eq!(fine.uniform(WideSum::from_num(1 << 20)), (i32::MAX, true));
-        assert_eq!(fine.uniform(-WideSum::from_num(1 << 20)), (-i32::MAX, true));
-        assert_eq!(
-            fine.uniform(WideSum::from_num(65_535)),
-            (65_535 << 15, false)
-        );
+        let level = |re| Level { k: 1, re, im: 0 };
+        assert_eq!(one.dequantise(Transform::Dct, level(0)), (0.5, 0.0));
+        assert_eq!(one.dequantise(Transform::Dtft, level(-1)), (-0.5, 0.5));
+        assert_eq!(one.dequantise(Transform::Dwt, level(-1)), (-1.0, 0.0));
+        let coarse = Quantiser::new(8).unwrap();
+        let zeroth = Level {
+            k: 0,
+            re: -3,
+            im: 0,
+        };
+        for transform in Transform::ALL {
+            assert_eq!(coarse.dequantise(transform, zeroth), (-3.0, 0.0));
+        }
         assert!(Quantiser::new(9).is_none() && Quantiser::new(-16).is_none());
     }
 
@@ -153,6 +299,7 @@ mod tests {
                 let divisor = f64::from(quantiser.haar_divisor(scale));
                 let step = libm::exp2(f64::from(step_log2));
                 assert!(divisor == 1.0 || divisor * spacing <= step * (1.0 + 1e-12));
+                assert!(divisor == 1.0 || step_log2 > 0);
             }
         }
     }
@@ -162,21 +309,21 @@ mod tests {
         fn errors_are_at_most_half_a_step(
             bits in -(1_i64 << 43)..1 << 43,
             step_log2 in Quantiser::STEP_LOG2_MIN..=Quantiser::STEP_LOG2_MAX,
-            k in 0..1024_u16,
+            k in 1..1024_u16,
         ) {
             let quantiser = Quantiser::new(step_log2).unwrap();
             let step = libm::exp2(f64::from(step_log2));
             let value = WideSum::from_bits(bits);
-            let (re, saturated) = quantiser.uniform(value);
+            let re = quantiser.uniform(value);
             let (back, _) = quantiser.dequantise(Transform::Dct, Level { k, re, im: 0 });
-            prop_assert!(saturated || (back - value.to_num::<f64>()).abs() <= step / 2.0);
+            let is_cut = value.is_cut(quantiser.shift());
+            prop_assert!(is_cut || (back - value.to_num::<f64>()).abs() <= step / 2.0);
 
-            let difference = bits >> 23;
+            let difference = (bits >> 23) as i32;
             let scale = scale_of(usize::from(k));
-            let (re, saturated) = quantiser.haar(WideSum::from_num(difference), scale);
-            prop_assert!(!saturated);
+            let re = quantiser.haar(difference, scale);
             let (back, _) = quantiser.dequantise(Transform::Dwt, Level { k, re, im: 0 });
-            let exact = difference as f64 * libm::sqrt(f64::from(1_u32 << scale));
+            let exact = f64::from(difference) * libm::sqrt(f64::from(1_u32 << scale));
             prop_assert!((back - exact).abs() <= step / 2.0 + exact.abs() * 1e-15);
             prop_assert!(step > 1.0 || (back - exact).abs() <= exact.abs() * 1e-15);
         }

@@ -1,16 +1,15 @@
 //! Static memory of an encoder.
 
 use crate::encoder::{Config, Encoder, Scratch, SetupError};
-use crate::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
-use crate::transform::Impulse;
+use crate::fixed_point::{Sum, WideSum};
+use crate::transform::Oscillators;
 use crate::window::{Head, Slot, WindowBuffers};
 
 /// Every buffer of an encoder, zeroed, for `.bss`.
 ///
 /// `EVENTS` of a window: 8 bytes each. `SEGMENTS` = [`crate::segments`] of the sensor: 2 bytes
 /// each on a microcontroller, 4 on a host. `BITMAP` = [`crate::bitmap_words`] of them: 4 bytes
-/// each. `NUMBERS` = 2K for the largest K in use: 20 bytes each. A chunk of 255 events takes 8
-/// bytes each.
+/// each. `NUMBERS` = 2K for the largest K in use: 16 bytes each.
 #[derive(Debug)]
 pub struct Storage<
     const EVENTS: usize,
@@ -21,10 +20,10 @@ pub struct Storage<
     slots: [Slot; EVENTS],
     heads: [Head; SEGMENTS],
     bitmap: [u32; BITMAP],
-    impulses: [Impulse; CHUNK_EVENTS],
+    oscillators: Oscillators,
     sums: [Sum; NUMBERS],
     totals: [WideSum; NUMBERS],
-    magnitudes: [u64; NUMBERS],
+    magnitudes: [u32; NUMBERS],
 }
 
 impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMBERS: usize>
@@ -37,7 +36,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             slots: [Slot::EMPTY; EVENTS],
             heads: [0; SEGMENTS],
             bitmap: [0; BITMAP],
-            impulses: [Impulse::NONE; CHUNK_EVENTS],
+            oscillators: Oscillators::new(),
             sums: [Sum::ZERO; NUMBERS],
             totals: [WideSum::ZERO; NUMBERS],
             magnitudes: [0; NUMBERS],
@@ -57,7 +56,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             bitmap: &mut self.bitmap,
         };
         let scratch = Scratch {
-            impulses: &mut self.impulses,
+            oscillators: &mut self.oscillators,
             sums: &mut self.sums,
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
@@ -116,13 +115,7 @@ mod tests {
                 .chain(&storage.bitmap)
                 .all(|word| *word == 0)
         );
-        assert!(
-            storage
-                .impulses
-                .iter()
-                .all(|impulse| *impulse == Impulse::NONE)
-        );
-        assert_eq!((Impulse::NONE.phase.to_bits(), Impulse::NONE.sign), (0, 0));
+        assert!(storage.oscillators.are_zero());
         assert!(storage.sums.iter().all(|sum| sum.to_bits() == 0));
         assert!(storage.totals.iter().all(|total| total.to_bits() == 0));
         assert!(storage.magnitudes.iter().all(|magnitude| *magnitude == 0));
@@ -133,14 +126,14 @@ mod tests {
         let (mut slots, mut heads, mut bitmap) = ([Slot::EMPTY; 1], [0; SEGMENTS], [0; BITMAP]);
         let (mut sums, mut totals) = ([Sum::ZERO; 64], [WideSum::ZERO; 64]);
         let mut magnitudes = [0; 64];
-        let mut impulses = [Impulse::NONE; CHUNK_EVENTS];
+        let mut oscillators = Oscillators::new();
         let buffers = WindowBuffers {
             slots: &mut slots,
             heads: &mut heads,
             bitmap: &mut bitmap,
         };
         let scratch = Scratch {
-            impulses: &mut impulses,
+            oscillators: &mut oscillators,
             sums: &mut sums,
             totals: &mut totals,
             magnitudes: &mut magnitudes,

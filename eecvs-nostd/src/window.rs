@@ -71,10 +71,6 @@ impl Slot {
     pub(crate) const fn is_on(self) -> bool {
         self.link & 1 == 1
     }
-
-    pub(crate) const fn sign(self) -> i32 {
-        self.is_on() as i32 * 2 - 1
-    }
 }
 
 const COLUMN_BITS: u32 = 5;

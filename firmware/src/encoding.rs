@@ -1,9 +1,9 @@
 //! Windows to frames, and frames to the link: `main`'s side.
 
 use eecvs_nostd::event_link::{Kind, Packet, Setup, Status};
-use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
+use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Work};
-use eecvs_nostd::transform::Impulse;
+use eecvs_nostd::transform::Oscillators;
 use eecvs_nostd::{
     Config, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers, WindowConfig,
     WindowEncoder,
@@ -75,12 +75,10 @@ impl Encoding {
     /// The encoder before its first setup. `None` when called again.
     pub fn new(sender: Sender, receiver: Receiver) -> Option<Self> {
         let scratch = Scratch {
-            impulses: cortex_m::singleton!(
-                : [Impulse; CHUNK_EVENTS] = [Impulse::NONE; CHUNK_EVENTS]
-            )?,
+            oscillators: cortex_m::singleton!(: Oscillators = Oscillators::new())?,
             sums: cortex_m::singleton!(: [Sum; NUMBERS] = [Sum::ZERO; NUMBERS])?,
             totals: cortex_m::singleton!(: [WideSum; NUMBERS] = [WideSum::ZERO; NUMBERS])?,
-            magnitudes: cortex_m::singleton!(: [u64; NUMBERS] = [0; NUMBERS])?,
+            magnitudes: cortex_m::singleton!(: [u32; NUMBERS] = [0; NUMBERS])?,
         };
         Some(Self {
             sender,

@@ -5,10 +5,10 @@
 use std::collections::VecDeque;
 
 use eecvs_nostd::event_link::{BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Setup};
-use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
+use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
-use eecvs_nostd::transform::Impulse;
+use eecvs_nostd::transform::Oscillators;
 use eecvs_nostd::{
     Config, Frame, OUTPUT_BYTES_MIN, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers,
     WindowConfig, WindowEncoder,
@@ -103,11 +103,11 @@ impl<'b> Machine<'b> {
 fuzz_target!(|data: &[u8]| {
     let mut memory = vec![0; 2 * 120];
     let buffers = WindowBuffers::share(&mut memory, 2, CONFIG.sensor).expect("room for both");
-    let mut impulses = [Impulse::NONE; CHUNK_EVENTS];
+    let mut oscillators = Oscillators::new();
     let (mut sums, mut totals) = ([Sum::ZERO; 32], [WideSum::ZERO; 32]);
     let mut magnitudes = [0; 32];
     let scratch = Scratch {
-        impulses: &mut impulses,
+        oscillators: &mut oscillators,
         sums: &mut sums,
         totals: &mut totals,
         magnitudes: &mut magnitudes,

@@ -4,8 +4,8 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum, WideSum};
-use eecvs_nostd::transform::Impulse;
+use eecvs_nostd::fixed_point::{Sum, WideSum};
+use eecvs_nostd::transform::Oscillators;
 use eecvs_nostd::{
     Config, Encoder, Head, OUTPUT_BYTES_MIN, Push, Scratch, Sensor, SetupError, Slot, Transform,
     WindowBuffers, bitmap_words, segments,
@@ -23,10 +23,10 @@ pub struct HostStorage {
     slots: Vec<Slot>,
     heads: Vec<Head>,
     bitmap: Vec<u32>,
-    impulses: Box<[Impulse; CHUNK_EVENTS]>,
+    oscillators: Box<Oscillators>,
     sums: Vec<Sum>,
     totals: Vec<WideSum>,
-    magnitudes: Vec<u64>,
+    magnitudes: Vec<u32>,
 }
 
 impl HostStorage {
@@ -39,7 +39,7 @@ impl HostStorage {
             slots: vec![Slot::EMPTY; window_events],
             heads: vec![0; segments],
             bitmap: vec![0; bitmap_words(segments)],
-            impulses: Box::new([Impulse::NONE; CHUNK_EVENTS]),
+            oscillators: Box::new(Oscillators::new()),
             sums: vec![Sum::ZERO; numbers],
             totals: vec![WideSum::ZERO; numbers],
             magnitudes: vec![0; numbers],
@@ -59,7 +59,7 @@ impl HostStorage {
             bitmap: &mut self.bitmap,
         };
         let scratch = Scratch {
-            impulses: &mut self.impulses,
+            oscillators: &mut self.oscillators,
             sums: &mut self.sums,
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,

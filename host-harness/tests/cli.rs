@@ -309,7 +309,7 @@ fn bad_usage_is_status_2() {
         "encode scene.raw -o a.eecvs --window-us 0",
         "encode scene.raw -o a.eecvs --window-us 4294967296",
         "encode scene.raw -o a.eecvs --window-events 0",
-        "encode scene.raw -o a.eecvs --frame-bytes 1207",
+        "encode scene.raw -o a.eecvs --frame-bytes 727",
         "encode scene.raw -o a.eecvs --width 40",
         "encode scene.raw -o a.eecvs --width 0 --height 1",
         "encode scene.raw -o a.eecvs --no-such-flag",

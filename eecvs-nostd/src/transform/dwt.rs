@@ -1,19 +1,21 @@
 //! Haar DWT: c_0 = sum_i p_i, c_(2^j + m) = sum_i p_i 2^(j/2) h(2^j u_i - m), the largest kept.
 
-use super::{Basis, Impulse, Rule, Transform};
-use crate::fixed_point::{Coefficient, Sum};
+use super::{Basis, Impulse, Oscillators, Rule, Transform};
+use crate::fixed_point::{CHUNK_EVENTS, Sum};
+use crate::phase::PhaseScale;
 use crate::quantise::{Level, Quantiser};
 
 /// The Haar wavelet transform (eq. 6), for sparse windows; h is +1 on [0, 1/2), -1 on [1/2, 1).
 ///
 /// `[Impulse; n] -> [Sum; K]`, K a power of two. The sums hold the integers
-/// D_k = c_k / 2^(j/2): a fine histogram and K - 1 butterflies, exact. The irrational scale is
-/// left to whoever needs the value, so that pruning compares D^2 2^j, an integer, and ties are
-/// exact.
+/// D_k = c_k / 2^(j/2), |D_k| <= n: a fine histogram and K - 1 butterflies, exact. The irrational
+/// scale is left to whoever needs the value, so that pruning compares D^2 2^j, an integer, and ties
+/// are exact.
 #[derive(Debug, Clone, Copy)]
 pub struct Dwt;
 
 /// j of coefficient k = 2^j + m; 0 for k = 0.
+#[inline(always)]
 #[must_use]
 pub const fn scale_of(k: usize) -> u32 {
     if k == 0 { 0 } else { k.ilog2() }
@@ -23,15 +25,29 @@ impl Basis for Dwt {
     const TRANSFORM: Transform = Transform::Dwt;
     const RULE: Rule = Rule::Magnitude;
 
-    fn accumulate(impulses: &[Impulse], grid: usize, sums: &mut [Sum]) {
+    #[inline(always)]
+    fn accumulate(
+        impulses: impl Iterator<Item = Impulse> + Clone,
+        _: u32,
+        scale: PhaseScale,
+        grid: usize,
+        _: &mut Oscillators,
+        sums: &mut [Sum],
+    ) {
         debug_assert!(grid.is_power_of_two());
         let (differences, bins) = sums[..2 * grid].split_at_mut(grid);
         bins.fill(Sum::ZERO);
-        // The top bits of an exact phase are the exact bin; checked_shr covers a grid of 1.
-        let shift = 32 - grid.trailing_zeros();
-        for impulse in impulses {
-            let bin = impulse.phase.to_bits().checked_shr(shift).unwrap_or(0) as usize;
-            bins[bin] += Sum::from_num(impulse.sign);
+        let bins_log2 = grid.trailing_zeros();
+        for impulse in impulses.take(CHUNK_EVENTS) {
+            let bin = scale.bin(impulse.offset_us, bins_log2) as usize;
+            // Always there: the offset is below T.
+            if let Some(sum) = bins.get_mut(bin) {
+                *sum += if impulse.is_on {
+                    Sum::ONE
+                } else {
+                    Sum::NEG_ONE
+                };
+            }
         }
         // At scale j the pairs of 2^(j+1) bins become their sum, a bin of the next coarser scale,
         // and their difference, D at k = 2^j + m.
@@ -44,54 +60,112 @@ impl Basis for Dwt {
             }
             half /= 2;
         }
-        differences[0] = bins[0];
     }
+}
 
-    #[inline]
-    fn magnitude<C: Coefficient>(sums: &[C], _grid: usize, k: usize) -> u64 {
-        let difference = sums[k].wide().to_num::<i64>().unsigned_abs();
-        (difference * difference) << scale_of(k)
+/// A number that orders coefficients as |D_k| 2^(j/2) does, ties exact; |D_k| < 2^24, j < 10.
+///
+/// |D| 2^(j/2) is A for even j and B sqrt 2 for odd j, with integers A, B < 2^29; as sqrt 2 is
+/// irrational, A against B sqrt 2 is 2 A against 2 floor(B sqrt 2) + 1.
+#[must_use]
+pub fn magnitude(difference: i32, k: usize) -> u32 {
+    let scale = scale_of(k);
+    let whole = difference.unsigned_abs() << (scale / 2);
+    if scale.is_multiple_of(2) || whole == 0 {
+        2 * whole
+    } else {
+        let square = u64::from(whole) * u64::from(whole);
+        2 * (2 * square).isqrt() as u32 + 1
     }
+}
 
-    #[inline]
-    fn level<C: Coefficient>(
-        sums: &[C],
-        _: usize,
-        k: usize,
-        quantiser: Quantiser,
-    ) -> (Level, bool) {
-        let (re, saturated) = quantiser.haar(sums[k].wide(), scale_of(k));
-        (
-            Level {
-                k: k as u16,
-                re,
-                im: 0,
-            },
-            saturated,
-        )
+/// The same for |D_k| < 256: D_k^2 2^j.
+#[inline(always)]
+#[must_use]
+pub fn small_magnitude(difference: i32, k: usize) -> u32 {
+    (difference * difference).unsigned_abs() << scale_of(k)
+}
+
+/// The coefficients of a pixel with one event follow from its bin: those of the atoms that hold
+/// it, +-2^(j/2) and so in the order of their scales, the finest first; c_0 = +-1 before c_1.
+///
+/// Whether the finest is kept and its level is not 0, so that it tells the bin, and the bin all of
+/// them.
+#[inline(always)]
+#[must_use]
+pub const fn bin_is_told((grid_log2, r): (u32, u32), quantiser: Quantiser) -> bool {
+    let is_kept = grid_log2 > 1 || (grid_log2 == 1 && r > 1);
+    is_kept && quantiser.haar(1, grid_log2 - 1) != 0
+}
+
+/// Calls `each` with the kept levels of a pixel with one event `sign` in `bin`, k ascending.
+pub fn single_levels(
+    bin: u32,
+    sign: i32,
+    (grid_log2, r): (u32, u32),
+    quantiser: Quantiser,
+    mut each: impl FnMut(Level),
+) {
+    if r >= grid_log2 {
+        each(Level {
+            k: 0,
+            re: sign,
+            im: 0,
+        });
     }
+    // c_1 ties with c_0, which stays if there is room for one of them.
+    let coarsest = if r > grid_log2 {
+        0
+    } else {
+        grid_log2.saturating_sub(r).max(1)
+    };
+    for scale in coarsest..grid_log2 {
+        let below = grid_log2 - scale;
+        let is_first_half = (bin >> (below - 1)) & 1 == 0;
+        let re = quantiser.haar(if is_first_half { sign } else { -sign }, scale);
+        if re != 0 {
+            let k = ((1 << scale) + (bin >> below)) as u16;
+            each(Level { k, re, im: 0 });
+        }
+    }
+}
+
+/// The bin whose [`single_levels`] end with `finest`, of the finest scale.
+#[must_use]
+pub fn bin_of(finest: Level, sign: i32, grid_log2: u32) -> u32 {
+    let first = u32::from(finest.k).saturating_sub(1 << grid_log2.saturating_sub(1)) << 1;
+    first + u32::from((finest.re < 0) == (sign > 0))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixed_point::Phase;
+    use std::vec::Vec;
 
+    /// One impulse per count of each of 8 bins of a window of 8 us.
     fn transform(bins: &[i32]) -> [i32; 8] {
+        let impulses: Vec<Impulse> = bins
+            .iter()
+            .enumerate()
+            .flat_map(|(bin, count)| {
+                let impulse = Impulse {
+                    offset_us: bin as u32,
+                    is_on: *count > 0,
+                };
+                std::iter::repeat_n(impulse, count.unsigned_abs() as usize)
+            })
+            .collect();
         let mut sums = [Sum::ZERO; 16];
-        let mut impulses = heapless::Vec::<Impulse, 64>::new();
-        for (bin, count) in bins.iter().enumerate() {
-            for _ in 0..count.unsigned_abs() {
-                let phase = Phase::from_bits((bin as u32) << 29);
-                impulses
-                    .push(Impulse {
-                        phase,
-                        sign: count.signum(),
-                    })
-                    .unwrap();
-            }
-        }
-        Dwt::accumulate(&impulses, 8, &mut sums);
+        let scale = PhaseScale::new(8);
+        Dwt::accumulate(
+            impulses.iter().copied(),
+            impulses.len() as u32,
+            scale,
+            8,
+            &mut Oscillators::new(),
+            &mut sums,
+        );
+        sums[0] = Sum::from_num(bins.iter().sum::<i32>());
         core::array::from_fn(|k| sums[k].to_num())
     }
 
@@ -112,12 +186,93 @@ mod tests {
     }
 
     #[test]
-    fn magnitudes_are_exact() {
-        let sums = [3, -2, 1, 0].map(Sum::from_num::<i32>);
-        let magnitude = |k| Dwt::magnitude(&sums, 4, k);
-        assert_eq!(
-            [magnitude(0), magnitude(1), magnitude(2), magnitude(3)],
-            [9, 4, 2, 0]
+    fn magnitudes_order_exactly() {
+        let square = |d: i64, k: usize| (d * d) << scale_of(k);
+        let numbers = [0, 1, 2, 3, 5, 7, 12, 17, 29, 41, 99, 140, 255];
+        let large = [(1 << 24) - 1, 11_863_283, 8_388_608, 5_931_641];
+        for ks in [[0, 1, 2, 4], [8, 16, 32, 64], [128, 256, 512, 1023]] {
+            for (a, j) in numbers
+                .iter()
+                .chain(&large)
+                .flat_map(|d| ks.map(|k| (*d, k)))
+            {
+                for (b, k) in numbers
+                    .iter()
+                    .chain(&large)
+                    .flat_map(|d| ks.map(|k| (*d, k)))
+                {
+                    let exact = square(i64::from(a), j).cmp(&square(i64::from(b), k));
+                    assert_eq!(
+                        magnitude(a, j).cmp(&magnitude(-b, k)),
+                        exact,
+                        "{a} {j} {b} {k}"
+                    );
+                    if a < 256 && b < 256 {
+                        assert_eq!(small_magnitude(a, j).cmp(&small_magnitude(-b, k)), exact);
+                    }
+                }
+            }
+        }
+    }
+
+    /// By the definition: transform one event, sort stably by magnitude, quantise, drop zeros.
+    fn expected(bin: u32, sign: i32, grid_log2: u32, r: usize, quantiser: Quantiser) -> Vec<Level> {
+        let grid = 1 << grid_log2;
+        let mut sums = std::vec![Sum::ZERO; 2 * grid];
+        let impulse = Impulse {
+            offset_us: bin,
+            is_on: sign > 0,
+        };
+        let scale = PhaseScale::new(grid as u32);
+        Dwt::accumulate(
+            [impulse].into_iter(),
+            1,
+            scale,
+            grid,
+            &mut Oscillators::new(),
+            &mut sums,
         );
+        sums[0] = Sum::from_num(sign);
+        let mut order: Vec<usize> = (0..grid).collect();
+        order.sort_by_key(|k| std::cmp::Reverse(magnitude(sums[*k].to_num(), *k)));
+        order.truncate(r);
+        order.sort_unstable();
+        let level = |k: usize| Level {
+            k: k as u16,
+            re: if k == 0 {
+                sign
+            } else {
+                quantiser.haar(sums[k].to_num(), scale_of(k))
+            },
+            im: 0,
+        };
+        order
+            .into_iter()
+            .map(level)
+            .filter(|level| level.re != 0)
+            .collect()
+    }
+
+    #[test]
+    fn a_single_events_levels_follow_from_its_bin() {
+        for grid_log2 in 0..=10 {
+            for bin in (0..1_u32 << grid_log2).step_by(if grid_log2 > 6 { 37 } else { 1 }) {
+                for (r, step_log2) in [(1, -6), (3, 0), (4, 2), (5, 3), (8, 4), (11, 8), (64, 1)] {
+                    let quantiser = Quantiser::new(step_log2).unwrap();
+                    for sign in [1, -1] {
+                        let r = r.min(1 << grid_log2);
+                        let mut found = Vec::new();
+                        let shape = (grid_log2, r);
+                        single_levels(bin, sign, shape, quantiser, |level| found.push(level));
+                        let expected = expected(bin, sign, grid_log2, r as usize, quantiser);
+                        assert_eq!(found, expected, "{grid_log2} {bin} {r} {step_log2} {sign}");
+                        if bin_is_told(shape, quantiser) {
+                            let finest = *found.last().unwrap();
+                            assert_eq!(bin_of(finest, sign, grid_log2), bin);
+                        }
+                    }
+                }
+            }
+        }
     }
 }

@@ -6,9 +6,11 @@
 pub mod dct;
 pub mod dtft;
 pub mod dwt;
+pub mod oscillator;
 
-use crate::fixed_point::{Coefficient, Phase, Sum};
-use crate::quantise::{Level, Quantiser};
+use crate::fixed_point::{CHUNK_EVENTS, Sum};
+use crate::phase::PhaseScale;
+use oscillator::Oscillator;
 
 pub use dct::Dct;
 pub use dtft::Dtft;
@@ -101,21 +103,13 @@ pub enum Rule {
     Magnitude,
 }
 
-/// One event as the transforms see it: p * delta(u - phase).
+/// One event as the transforms see it: p * delta(t - t0 - offset).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Impulse {
-    /// u = (t - t0) / T.
-    pub phase: Phase,
-    /// p: +1 or -1.
-    pub sign: i32,
-}
-
-impl Impulse {
-    /// No event: what a buffer of impulses is filled with.
-    pub const NONE: Self = Self {
-        phase: Phase::ZERO,
-        sign: 0,
-    };
+    /// t - t0 in microseconds.
+    pub offset_us: u32,
+    /// p = +1.
+    pub is_on: bool,
 }
 
 /// What a transform does in each stage.
@@ -127,9 +121,17 @@ pub trait Basis {
     /// Which coefficients are kept.
     const RULE: Rule;
 
-    /// Accumulate: c_k = sum_i p_i phi_k(u_i) (eq. 6) for k in 0..`grid`, over one chunk of at
-    /// most [`crate::fixed_point::CHUNK_EVENTS`] impulses. `sums`, 2K or longer, is overwritten.
-    fn accumulate(impulses: &[Impulse], grid: usize, sums: &mut [Sum]);
+    /// Accumulate: c_k = sum_i p_i phi_k(u_i) (eq. 6) for k in 1..`grid`, over at most
+    /// [`CHUNK_EVENTS`] impulses; more are left out. `events` is how many there are. `sums`, 2K or longer, is overwritten, but for
+    /// c_0, the sum of the signs, which the caller knows.
+    fn accumulate(
+        impulses: impl Iterator<Item = Impulse> + Clone,
+        events: u32,
+        scale: PhaseScale,
+        grid: usize,
+        work: &mut Oscillators,
+        sums: &mut [Sum],
+    );
 
     /// Numbers in `sums` that are coefficients: K, or 2K for a complex transform.
     #[must_use]
@@ -140,61 +142,34 @@ pub trait Basis {
             grid
         }
     }
-
-    /// Prune: a number that orders the coefficients as |c_k| does.
-    fn magnitude<C: Coefficient>(sums: &[C], grid: usize, k: usize) -> u64;
-
-    /// Quantise: the level of coefficient k, and whether it saturated.
-    fn level<C: Coefficient>(
-        sums: &[C],
-        grid: usize,
-        k: usize,
-        quantiser: Quantiser,
-    ) -> (Level, bool);
 }
 
-/// Impulse sums of `B` neighbouring frequencies at a time: `step` is what k advances the phase by,
-/// and the sums stay in registers over all impulses.
-#[inline]
-fn cosine_sums<const B: usize>(
-    impulses: &[Impulse],
-    first_k: usize,
-    offset: u32,
-    step: impl Fn(Phase) -> u32,
-) -> [Sum; B] {
-    let mut sums = [Sum::ZERO; B];
-    for impulse in impulses {
-        let step = step(impulse.phase);
-        let mut turn = step.wrapping_mul(first_k as u32).wrapping_add(offset);
-        for sum in &mut sums {
-            let atom = crate::atom::cos(Phase::from_bits(turn)).to_bits() * impulse.sign;
-            *sum = Sum::from_bits(sum.to_bits().wrapping_add(atom));
-            turn = turn.wrapping_add(step);
+/// Memory for the oscillators of a chunk: cosines, then sines.
+#[derive(Debug)]
+pub struct Oscillators {
+    cos: [Oscillator; CHUNK_EVENTS],
+    sin: [Oscillator; CHUNK_EVENTS],
+}
+
+impl Oscillators {
+    /// Zeroed memory.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            cos: [Oscillator::AT_REST; CHUNK_EVENTS],
+            sin: [Oscillator::AT_REST; CHUNK_EVENTS],
         }
     }
-    sums
-}
 
-/// Fills `sums` with [`cosine_sums`], four at a time.
-fn accumulate_cosines(
-    impulses: &[Impulse],
-    offset: u32,
-    step: impl Fn(Phase) -> u32 + Copy,
-    sums: &mut [Sum],
-) {
-    let mut blocks = sums.chunks_exact_mut(4);
-    let mut k = 0;
-    for block in &mut blocks {
-        block.copy_from_slice(&cosine_sums::<4>(impulses, k, offset, step));
-        k += 4;
-    }
-    for sum in blocks.into_remainder() {
-        [*sum] = cosine_sums::<1>(impulses, k, offset, step);
-        k += 1;
+    #[cfg(test)]
+    pub(crate) fn are_zero(&self) -> bool {
+        let mut all = self.cos.iter().chain(&self.sin);
+        all.all(Oscillator::is_zero)
     }
 }
 
-/// c_0 of every transform here: the sum of the signs, without rounding.
-fn net_sign(impulses: &[Impulse]) -> Sum {
-    Sum::from_num(impulses.iter().map(|impulse| impulse.sign).sum::<i32>())
+impl Default for Oscillators {
+    fn default() -> Self {
+        Self::new()
+    }
 }

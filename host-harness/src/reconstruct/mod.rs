@@ -24,20 +24,15 @@ pub struct Pixel {
 }
 
 impl Pixel {
-    /// Dequantises a descriptor. c_0 = on - off is known exactly and is not rounded to a step.
+    /// Dequantises a descriptor. c_0 = on - off is not rounded to a step.
     #[must_use]
     pub fn dequantise(header: &Header, descriptor: &Descriptor) -> Self {
-        let net = f64::from(descriptor.on) - f64::from(descriptor.off);
         let coefficients = descriptor
             .levels
             .iter()
             .map(|level| {
                 let (re, im) = header.quantiser.dequantise(header.transform, *level);
-                if level.k == 0 {
-                    (0, net, 0.0)
-                } else {
-                    (level.k, re, im)
-                }
+                (level.k, re, im)
             })
             .collect();
         Self {
@@ -125,12 +120,18 @@ mod tests {
                 off: 2,
                 ..Descriptor::EMPTY
             };
-            // 11 is 1.4 steps; 2 steps of the Haar scale of k = 4 are 2 * 4 * 2.
-            for (k, re) in [(0, 1), (4, 2)] {
+            for (k, re) in [(0, 11), (4, 2)] {
                 let _ = descriptor.levels.push(Level { k, re, im: 0 });
             }
+            // The middle of the step from 16 to 24, and of that from 0 to 8; 2 steps of the Haar
+            // scale of k = 4 are 2 * 4 * 2.
+            let expected = match transform {
+                Transform::Dct => (4, 20.0, 0.0),
+                Transform::Dtft => (4, 20.0, 4.0),
+                Transform::Dwt => (4, 16.0, 0.0),
+            };
             let pixel = Pixel::dequantise(&header, &descriptor);
-            assert_eq!(pixel.coefficients, [(0, 11.0, 0.0), (4, 16.0, 0.0)]);
+            assert_eq!(pixel.coefficients, [(0, 11.0, 0.0), expected]);
         }
     }
 

@@ -1,0 +1,319 @@
+//! p cos(k a) and p sin(k a) for k = 1, 2, ... by the Chebyshev recurrence
+//! x_k = 2 cos(a) x_(k-1) - x_(k-2): three instructions per coefficient with the sum.
+//!
+//! Rounding grows as k^2, so every [`RUN`] coefficients the recurrence starts anew from the table.
+//! Error of an atom for any a and k < 1,024: 32^2 / 2 roundings of 2^-29 at the most (2^-20); 32
+//! times the seeds' error (2^-22: next to whole and half turns, where it counts k^2 times, the sine
+//! that the polynomial's error comes with vanishes); 2^-18 of the scale below; the sum's floor of
+//! 2^-23; and what k times the phase's error makes ([`crate::phase`]). Measured with all of it: see
+//! [`super::Dct`] and [`super::Dtft`].
+
+use crate::atom::{cos, cos_sin};
+use crate::fixed_point::{Atom, Phase, Sum, mul_high_add, mul_high_round};
+use crate::transform::Impulse;
+
+/// Coefficients from one start of the recurrence to the next.
+pub const RUN: usize = 32;
+
+/// 2^25 (1 - 2^-18): brings 30 fractional bits to 23, and every atom strictly below 1.
+///
+/// The recurrence's own error is below 2^-18, so that |c_k| < n holds for n events, which is what
+/// lets the levels of a pixel of n events do without a bit for n itself.
+const WEIGHT: i32 = (1 << 25) - (1 << 7);
+
+/// An event's recurrence.
+#[derive(Debug, Clone, Copy)]
+pub struct Oscillator {
+    /// cos(a)
+    cos: i32,
+    /// p in the scale of [`WEIGHT`]
+    weight: i32,
+    /// x_(k-1)
+    before: i32,
+    /// x_k
+    now: i32,
+}
+
+impl Oscillator {
+    /// One that adds nothing.
+    pub const AT_REST: Self = Self {
+        cos: 0,
+        weight: 0,
+        before: 0,
+        now: 0,
+    };
+
+    #[cfg(test)]
+    pub(crate) fn is_zero(&self) -> bool {
+        (self.cos, self.weight, self.before, self.now) == (0, 0, 0, 0)
+    }
+
+    /// At k = 1, for a step of `cos`, from x_0 and x_1.
+    #[inline(always)]
+    fn start(impulse: Impulse, cos: Atom, before: Atom, now: Atom) -> Self {
+        Self {
+            cos: cos.to_bits(),
+            weight: if impulse.is_on { WEIGHT } else { -WEIGHT },
+            before: before.to_bits(),
+            now: now.to_bits(),
+        }
+    }
+
+    /// Adds p x_k to p x_(k+N-1) to `sums`, and goes on to k + N.
+    #[inline(always)]
+    fn add<const N: usize>(&mut self, sums: &mut [i32; N]) {
+        for sum in sums {
+            *sum = mul_high_add(*sum, self.now, self.weight);
+            // The product has 28 fractional bits and is doubled: cos(a) x in [-1, 1]. At its ends
+            // the shift wraps, and the difference wraps back.
+            let next = (mul_high_round(self.cos, self.now) << 3).wrapping_sub(self.before);
+            self.before = self.now;
+            self.now = next;
+        }
+    }
+
+    /// [`Self::add`] of seven, as many sums as stay in registers beside the rest.
+    #[cfg(not(eecvs_dsp))]
+    #[inline(always)]
+    fn add_seven(&mut self, sums: &mut [i32; 7]) {
+        self.add(sums);
+    }
+
+    /// The same bits in one piece: the compiler's own order of these instructions keeps more
+    /// values alive than there are registers, and twice as many instructions move them about.
+    #[cfg(eecvs_dsp)]
+    #[allow(unsafe_code)]
+    #[inline(always)]
+    fn add_seven(&mut self, sums: &mut [i32; 7]) {
+        let [s1, s2, s3, s4, s5, s6, s7] = sums;
+        // SAFETY: registers alone are read and written, all of them operands; neither memory nor
+        // flags are touched. The build script sets `eecvs_dsp` only for cores that have the
+        // instructions.
+        unsafe {
+            core::arch::asm!(
+                "smmla {s1}, {now}, {weight}, {s1}",
+                "smmulr {next}, {cos}, {now}",
+                "rsb {before}, {before}, {next}, lsl #3",
+                "smmla {s2}, {before}, {weight}, {s2}",
+                "smmulr {next}, {cos}, {before}",
+                "rsb {now}, {now}, {next}, lsl #3",
+                "smmla {s3}, {now}, {weight}, {s3}",
+                "smmulr {next}, {cos}, {now}",
+                "rsb {before}, {before}, {next}, lsl #3",
+                "smmla {s4}, {before}, {weight}, {s4}",
+                "smmulr {next}, {cos}, {before}",
+                "rsb {now}, {now}, {next}, lsl #3",
+                "smmla {s5}, {now}, {weight}, {s5}",
+                "smmulr {next}, {cos}, {now}",
+                "rsb {before}, {before}, {next}, lsl #3",
+                "smmla {s6}, {before}, {weight}, {s6}",
+                "smmulr {next}, {cos}, {before}",
+                "rsb {now}, {now}, {next}, lsl #3",
+                "smmla {s7}, {now}, {weight}, {s7}",
+                "smmulr {next}, {cos}, {now}",
+                "rsb {before}, {before}, {next}, lsl #3",
+                s1 = inout(reg) *s1, s2 = inout(reg) *s2, s3 = inout(reg) *s3, s4 = inout(reg) *s4,
+                s5 = inout(reg) *s5, s6 = inout(reg) *s6, s7 = inout(reg) *s7,
+                cos = in(reg) self.cos, weight = in(reg) self.weight,
+                before = inout(reg) self.before => self.now,
+                now = inout(reg) self.now => self.before,
+                next = out(reg) _,
+                options(pure, nomem, nostack, preserves_flags),
+            );
+        }
+    }
+}
+
+/// Sums of N neighbouring coefficients, kept in registers over all oscillators.
+#[inline(always)]
+fn block<const N: usize>(
+    oscillators: &mut [Oscillator],
+    sums: &mut [Sum],
+    add: impl Fn(&mut Oscillator, &mut [i32; N]),
+) {
+    let mut block = [0; N];
+    for oscillator in oscillators {
+        add(oscillator, &mut block);
+    }
+    for (sum, bits) in sums.iter_mut().zip(block) {
+        *sum = Sum::from_bits(bits);
+    }
+}
+
+/// Sums of the coefficients that `sums` has room for, seven at a time. Apart, so that the loops
+/// have the registers for themselves.
+#[inline(never)]
+fn run(oscillators: &mut [Oscillator], sums: &mut [Sum]) {
+    let mut rest = sums;
+    while rest.len() >= 7
+        && let Some((sums, more)) = core::mem::take(&mut rest).split_first_chunk_mut::<7>()
+    {
+        block(oscillators, sums, Oscillator::add_seven);
+        rest = more;
+    }
+    for sums in rest.chunks_mut(2) {
+        block(oscillators, sums, Oscillator::add::<2>);
+    }
+}
+
+/// The atoms of a single event: no sum is read, and no oscillator leaves the registers.
+#[inline(always)]
+fn run_of_one(mut oscillator: Oscillator, sums: &mut [Sum]) {
+    let mut rest = sums;
+    while rest.len() >= 7
+        && let Some((sums, more)) = core::mem::take(&mut rest).split_first_chunk_mut::<7>()
+    {
+        let mut block = [0; 7];
+        oscillator.add(&mut block);
+        *sums = block.map(Sum::from_bits);
+        rest = more;
+    }
+    for sum in rest {
+        let mut block = [0];
+        oscillator.add(&mut block);
+        *sum = Sum::from_bits(block[0]);
+    }
+}
+
+/// k times a phase.
+#[inline(always)]
+fn times(turn: Phase, k: usize) -> Phase {
+    Phase::from_bits(turn.to_bits().wrapping_mul(k as u32))
+}
+
+/// First coefficient and end of each run of a grid after its first.
+fn later_runs(grid: usize) -> impl Iterator<Item = (usize, usize)> {
+    (RUN..grid)
+        .step_by(RUN)
+        .map(move |first| (first, grid.min(first + RUN)))
+}
+
+/// Oscillators of `impulses` in `work`, each as `start` makes it.
+#[inline(always)]
+fn fill(
+    impulses: impl Iterator<Item = Impulse>,
+    work: &mut [Oscillator],
+    start: impl Fn(Impulse) -> Oscillator,
+) -> &mut [Oscillator] {
+    let mut len = 0;
+    for (oscillator, impulse) in work.iter_mut().zip(impulses) {
+        *oscillator = start(impulse);
+        len += 1;
+    }
+    &mut work[..len]
+}
+
+/// sum p cos(k a) for k in 1..`sums.len()`; a in turns is `turn` of an impulse.
+#[inline(always)]
+pub fn cosines(
+    impulses: &(impl Iterator<Item = Impulse> + Clone),
+    is_single: bool,
+    turn: impl Fn(Impulse) -> Phase + Copy,
+    work: &mut [Oscillator],
+    sums: &mut [Sum],
+) {
+    let first = |impulse: Impulse| {
+        let cos = cos(turn(impulse));
+        Oscillator::start(impulse, cos, Atom::ONE, cos)
+    };
+    let grid = sums.len();
+    let sums_of_run = sums.get_mut(1..grid.min(RUN)).unwrap_or(&mut []);
+    if is_single {
+        run_single(impulses.clone(), first, sums_of_run);
+    } else {
+        run(first_cosines(impulses.clone(), first, work), sums_of_run);
+    }
+    for (k, end) in later_runs(grid) {
+        let oscillators = fill(impulses.clone(), work, |impulse| {
+            let turn = turn(impulse);
+            let x = [k - 1, k].map(|k| cos(times(turn, k)));
+            Oscillator::start(impulse, cos(turn), x[0], x[1])
+        });
+        run(oscillators, &mut sums[k..end]);
+    }
+}
+
+/// The first impulse alone.
+#[inline(always)]
+fn run_single(
+    mut impulses: impl Iterator<Item = Impulse>,
+    start: impl Fn(Impulse) -> Oscillator,
+    sums: &mut [Sum],
+) {
+    if let Some(impulse) = impulses.next() {
+        run_of_one(start(impulse), sums);
+    }
+}
+
+/// Apart, as all loops here, so that they have the registers for themselves.
+#[inline(never)]
+fn first_cosines(
+    impulses: impl Iterator<Item = Impulse>,
+    start: impl Fn(Impulse) -> Oscillator,
+    work: &mut [Oscillator],
+) -> &mut [Oscillator] {
+    fill(impulses, work, start)
+}
+
+/// As [`cosines`], and sum p sin(k a).
+#[inline(always)]
+pub fn cosines_and_sines(
+    impulses: &(impl Iterator<Item = Impulse> + Clone),
+    is_single: bool,
+    turn: impl Fn(Impulse) -> Phase + Copy,
+    (cos_work, sin_work): (&mut [Oscillator], &mut [Oscillator]),
+    (cos_sums, sin_sums): (&mut [Sum], &mut [Sum]),
+) {
+    let first = |impulse: Impulse| {
+        let (cos, sin) = cos_sin(turn(impulse));
+        (
+            Oscillator::start(impulse, cos, Atom::ONE, cos),
+            Oscillator::start(impulse, cos, Atom::ZERO, sin),
+        )
+    };
+    let grid = cos_sums.len();
+    let end = grid.min(RUN);
+    let cos_run = cos_sums.get_mut(1..end).unwrap_or(&mut []);
+    let sin_run = sin_sums.get_mut(1..end).unwrap_or(&mut []);
+    if is_single {
+        if let Some(impulse) = impulses.clone().next() {
+            let (cos, sin) = first(impulse);
+            run_of_one(cos, cos_run);
+            run_of_one(sin, sin_run);
+        }
+    } else {
+        let len = fill_pairs(impulses.clone(), first, cos_work, sin_work);
+        run(&mut cos_work[..len], cos_run);
+        run(&mut sin_work[..len], sin_run);
+    }
+    for (k, end) in later_runs(grid) {
+        let start = |impulse: Impulse| {
+            let turn = turn(impulse);
+            let step = cos(turn);
+            let x = [k - 1, k].map(|k| cos_sin(times(turn, k)));
+            (
+                Oscillator::start(impulse, step, x[0].0, x[1].0),
+                Oscillator::start(impulse, step, x[0].1, x[1].1),
+            )
+        };
+        let len = fill_pairs(impulses.clone(), start, cos_work, sin_work);
+        run(&mut cos_work[..len], &mut cos_sums[k..end]);
+        run(&mut sin_work[..len], &mut sin_sums[k..end]);
+    }
+}
+
+/// Cosines and sines of `impulses`; returns how many there are.
+#[inline(never)]
+fn fill_pairs(
+    impulses: impl Iterator<Item = Impulse>,
+    start: impl Fn(Impulse) -> (Oscillator, Oscillator),
+    cos_work: &mut [Oscillator],
+    sin_work: &mut [Oscillator],
+) -> usize {
+    let mut len = 0;
+    for ((cos, sin), impulse) in cos_work.iter_mut().zip(sin_work).zip(impulses) {
+        (*cos, *sin) = start(impulse);
+        len += 1;
+    }
+    len
+}
