@@ -241,8 +241,9 @@ impl Image {
             .unwrap_or_else(|| panic!("the image has {name}"))
     }
 
-    /// Most stack that a call of the function at `address` takes, itself included, and the path.
-    fn depth(&self, address: u32, path: &mut Vec<u32>) -> u32 {
+    /// Most stack that a call of the function at `address` takes, itself included, and the frames
+    /// it is made of, innermost first.
+    fn depth(&self, address: u32, path: &mut Vec<u32>) -> (u32, Vec<String>) {
         // A jump may lead into the middle of a function.
         let Some((start, function)) = self.functions.range(..=address).next_back() else {
             panic!("no function at {address:#x}");
@@ -252,7 +253,7 @@ impl Image {
         }
         if is_panic(&function.name) {
             // Ends in `fault.rs`, whose stack is a new one.
-            return function.frame_bytes;
+            return (function.frame_bytes, Vec::new());
         }
         assert_eq!(
             function.indirect, 0,
@@ -260,20 +261,22 @@ impl Image {
             function.name
         );
         path.push(*start);
-        let below = function
-            .calls
-            .iter()
-            .map(|call| self.depth(*call, path))
-            .max()
-            .unwrap_or(0);
+        let below = function.calls.iter().map(|call| self.depth(*call, path));
+        let deepest = below.max_by_key(|(bytes, _)| *bytes);
         path.pop();
-        function.frame_bytes + below
+        let (bytes, mut names) = deepest.unwrap_or_default();
+        names.push(format!("{} {}", function.frame_bytes, function.name));
+        (function.frame_bytes + bytes, names)
     }
 
     /// `main`, with the interrupts one over the other by priority: PendSV, then the UART or the
     /// timer.
     fn stack_bound(&self) -> u32 {
-        let depth = |name: &str| self.depth(self.named(name), &mut Vec::new());
+        let depth = |name: &str| {
+            let (bytes, path) = self.depth(self.named(name), &mut Vec::new());
+            println!("{bytes} bytes, innermost first: {path:#?}");
+            bytes
+        };
         let interrupts = depth("USART1").max(depth("SysTick")) + depth("PendSV");
         depth("Reset") + interrupts + 2 * EXCEPTION_BYTES
     }

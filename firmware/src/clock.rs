@@ -5,6 +5,8 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::peripheral::{SCB, SYST};
 
+use crate::board;
+
 /// Ticks between two of the timer's interrupts: 0.8 ms at 168 MHz. Divides 2^32.
 const WRAP_TICKS: u32 = 1 << 17;
 
@@ -59,13 +61,13 @@ pub fn interrupt_ticks() -> u32 {
 
 /// Nanoseconds of `ticks`.
 #[must_use]
-pub fn nanoseconds(ticks: u64, clock_hz: u32) -> u64 {
+pub fn nanoseconds(ticks: u64) -> u64 {
     const NS_PER_S: u64 = 1_000_000_000;
-    let clock_hz = u64::from(clock_hz);
+    const CLOCK_HZ: u64 = board::CLOCK_HZ as u64;
     // In two parts, so that nothing overflows within centuries.
-    (ticks / clock_hz)
+    (ticks / CLOCK_HZ)
         .wrapping_mul(NS_PER_S)
-        .wrapping_add(ticks % clock_hz * NS_PER_S / clock_hz)
+        .wrapping_add(ticks % CLOCK_HZ * NS_PER_S / CLOCK_HZ)
 }
 
 /// Measures a short interrupt that nothing interrupts: below one period of the timer.

@@ -9,9 +9,11 @@ use eecvs_nostd::{
     WindowEncoder,
 };
 
+use static_cell::ConstStaticCell;
+
 use crate::board::{self, Sender};
 use crate::clock::{Stopwatch, interrupt_ticks, nanoseconds};
-use crate::receiving::{self, Receiver};
+use crate::receiving;
 use crate::stack;
 
 /// Windows in turn.
@@ -51,14 +53,13 @@ impl Total {
     }
 
     fn ns(&self) -> u64 {
-        nanoseconds(self.ticks, board::CLOCK_HZ)
+        nanoseconds(self.ticks)
     }
 }
 
 /// The encoder and what it has done.
 pub struct Encoding {
     sender: Sender,
-    receiver: Receiver,
     encoder: WindowEncoder<'static>,
     out: &'static mut [u8; FRAME_BYTES],
     window_events: usize,
@@ -73,18 +74,24 @@ pub struct Encoding {
 
 impl Encoding {
     /// The encoder before its first setup. `None` when called again.
-    pub fn new(sender: Sender, receiver: Receiver) -> Option<Self> {
+    #[inline(never)]
+    pub fn new(sender: Sender) -> Option<Self> {
+        static OSCILLATORS: ConstStaticCell<Oscillators> = ConstStaticCell::new(Oscillators::new());
+        static SUMS: ConstStaticCell<[Sum; NUMBERS]> = ConstStaticCell::new([Sum::ZERO; NUMBERS]);
+        static TOTALS: ConstStaticCell<[WideSum; NUMBERS]> =
+            ConstStaticCell::new([WideSum::ZERO; NUMBERS]);
+        static MAGNITUDES: ConstStaticCell<[u32; NUMBERS]> = ConstStaticCell::new([0; NUMBERS]);
+        static OUT: ConstStaticCell<[u8; FRAME_BYTES]> = ConstStaticCell::new([0; FRAME_BYTES]);
         let scratch = Scratch {
-            oscillators: cortex_m::singleton!(: Oscillators = Oscillators::new())?,
-            sums: cortex_m::singleton!(: [Sum; NUMBERS] = [Sum::ZERO; NUMBERS])?,
-            totals: cortex_m::singleton!(: [WideSum; NUMBERS] = [WideSum::ZERO; NUMBERS])?,
-            magnitudes: cortex_m::singleton!(: [u32; NUMBERS] = [0; NUMBERS])?,
+            oscillators: OSCILLATORS.try_take()?,
+            sums: SUMS.try_take()?,
+            totals: TOTALS.try_take()?,
+            magnitudes: MAGNITUDES.try_take()?,
         };
         Some(Self {
             sender,
-            receiver,
             encoder: WindowEncoder::new(IDLE, scratch).ok()?,
-            out: cortex_m::singleton!(: [u8; FRAME_BYTES] = [0; FRAME_BYTES])?,
+            out: OUT.try_take()?,
             window_events: 0,
             running: false,
             windows: 0,
@@ -107,7 +114,7 @@ impl Encoding {
         self.receive
             .add(interrupts.wrapping_sub(self.interrupts_seen));
         self.interrupts_seen = interrupts;
-        match self.receiver.work() {
+        match receiving::work() {
             Some(Work::Window(window)) => self.encode(window),
             Some(Work::Setup(setup, counts)) => {
                 self.set_up(&setup);
@@ -122,7 +129,7 @@ impl Encoding {
                 );
                 self.send_status(Kind::Flush as u8, counts);
             }
-            None => self.receiver.wait(),
+            None => receiving::wait(),
         }
     }
 
@@ -146,35 +153,31 @@ impl Encoding {
                 defmt::warn!("{=u32} events lost", frame.header.dropped);
             }
         }
-        self.receiver.free(window);
+        receiving::free(window);
     }
 
     fn set_up(&mut self, setup: &Setup) {
         self.running = false;
         self.window_events = 0;
-        let mut windows = heapless::Vec::<_, WINDOWS>::new();
-        match setup.config() {
-            Some(config) if self.encoder.set_up(config).is_ok() => {
-                for buffers in window_buffers(config.window.sensor).into_iter().flatten() {
-                    self.window_events = buffers.slots.len();
-                    if let Some(window) = Window::new(config.window, buffers) {
-                        // There is room: as many as were asked for.
-                        let _ = windows.push(window);
-                    }
-                }
-                self.running = windows.len() == WINDOWS;
+        let mut windows = [const { None }; WINDOWS];
+        if let Some(config) = setup.config()
+            && self.encoder.set_up(config).is_ok()
+            && let Some(shares) = window_buffers(config.window.sensor)
+        {
+            for (window, buffers) in windows.iter_mut().zip(shares) {
+                self.window_events = buffers.slots.len();
+                *window = Window::new(config.window, buffers);
             }
-            _ => {}
         }
+        self.running = windows.iter().all(Option::is_some);
         if self.running {
             defmt::info!("{}: {=usize} events a window", setup, self.window_events);
+            receiving::set_up(setup, WINDOWS);
+            windows.into_iter().flatten().for_each(receiving::free);
         } else {
-            windows.clear();
+            self.window_events = 0;
             defmt::error!("refused: {}", setup);
-        }
-        self.receiver.set_up(setup, windows.len());
-        for window in windows {
-            self.receiver.free(window);
+            receiving::set_up(setup, 0);
         }
     }
 

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `board/` | set-up of a machine: clocks, pins, the UART of the link |
 //! | `receiving.rs` | the interrupts' side: bytes to windows |
+//! | `queue.rs` | what the two sides share |
 //! | `sensor.rs` | the place to plug in a sensor |
 //! | `encoding.rs` | `main`'s side: windows to frames |
 //! | `clock.rs` | time, and what interrupts took of it |
@@ -25,6 +26,8 @@ pub mod clock;
 pub mod encoding;
 pub mod fault;
 pub mod log;
+#[cfg(not(feature = "microbit"))]
+pub mod queue;
 #[cfg(not(feature = "microbit"))]
 pub mod receiving;
 #[cfg(feature = "sensor")]

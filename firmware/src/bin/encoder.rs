@@ -21,7 +21,8 @@ fn main() -> ! {
     let encoding = cortex_m::Peripherals::take().and_then(|mut core| {
         let sender = board::set_up(&mut core)?;
         clock::start(&mut core.SYST);
-        Encoding::new(sender, receiving::start(&mut core)?)
+        receiving::start(&mut core);
+        Encoding::new(sender)
     });
     let Some(mut encoding) = encoding else {
         // Every part of the above is there once, and this runs once.
@@ -36,8 +37,8 @@ fn main() -> ! {
 
 #[exception]
 fn PendSV() {
-    static mut RECEIVING: Option<Receiving> = None;
-    receiving::on_pend(RECEIVING);
+    static mut RECEIVING: Receiving = Receiving::new();
+    RECEIVING.on_pend();
 }
 
 #[exception]

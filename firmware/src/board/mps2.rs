@@ -1,14 +1,12 @@
 //! ARM MPS2+ boards AN386 (Cortex-M4) and AN500 (Cortex-M7), in QEMU only.
 
-use core::cell::RefCell;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use cortex_m::Peripherals;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
-use critical_section::Mutex;
 
-use crate::receiving::{self, Bytes};
+use crate::receiving;
 
 /// Of the machine.
 pub const NAME: &str = "mps2";
@@ -115,13 +113,10 @@ pub fn resume_receiving() {
     unsafe { NVIC::unmask(Uart0Receive) };
 }
 
-/// The receive interrupt's end of the ring.
-static BYTES: Mutex<RefCell<Option<Bytes>>> = Mutex::new(RefCell::new(None));
-
 /// Every interrupt of the board: without a device's vector table there is one handler for all.
 #[exception]
 unsafe fn DefaultHandler(interrupt: i16) {
     if interrupt == 0 {
-        critical_section::with(|token| receiving::on_receive(&mut BYTES.borrow_ref_mut(token)));
+        receiving::on_receive();
     }
 }

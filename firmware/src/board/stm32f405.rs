@@ -12,7 +12,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::NVIC;
 use stm32f4::stm32f405::{Interrupt, Peripherals, RCC, USART1, interrupt};
 
-use crate::receiving::{self, Bytes};
+use crate::receiving;
 
 /// Of the machine.
 pub const NAME: &str = "stm32f405";
@@ -161,6 +161,5 @@ pub fn resume_receiving() {
 
 #[interrupt]
 fn USART1() {
-    static mut BYTES: Option<Bytes> = None;
-    receiving::on_receive(BYTES);
+    receiving::on_receive();
 }
