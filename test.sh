@@ -97,6 +97,10 @@ firmware() {
         echo "golden vectors on $machine"
         qemu "$machine" golden
     done
+    cargo test -p host-harness --test mcu
+    firmware/instructions.sh --check
+    # The first events of every recording; without a number, all of them.
+    firmware/recordings.sh "${RECORDING_EVENTS:-20000}"
     # Its only good end is the report of a fault.
     status=0
     qemu netduinoplus2 overflow >/dev/null || status=$?

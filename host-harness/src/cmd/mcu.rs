@@ -6,13 +6,13 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use eecvs_nostd::Sensor;
+use eecvs_nostd::{Event, Sensor};
 use serde::Serialize;
 
 use super::encode::CodecOptions;
 use super::options::SizeOptions;
 use super::output::{print, print_json, rows};
-use crate::formats::{self, EventReader};
+use crate::formats::{self, EventReader, Skipped};
 use crate::mcu::image::{self, ImageSizes};
 use crate::mcu::qemu::{Machine, Qemu};
 use crate::mcu::{self, Connection, Job, Outcome, PATIENCE};
@@ -59,6 +59,10 @@ pub struct Mcu {
     #[command(flatten)]
     size: SizeOptions,
 
+    /// Encode the first N events alone
+    #[arg(long, value_name = "N")]
+    events: Option<u64>,
+
     /// Let the encoder drop and count events while it has no room, rather than hold the link; then
     /// frames are unpacked and events accounted for, but not compared
     #[arg(long)]
@@ -86,6 +90,38 @@ struct Report {
     flash_bytes: u64,
     ram_bytes: u64,
     stack_bytes: u32,
+}
+
+/// The first events of a recording.
+struct First {
+    reader: Box<dyn EventReader>,
+    left: u64,
+}
+
+impl EventReader for First {
+    fn format(&self) -> &'static str {
+        self.reader.format()
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.reader.sensor()
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        if self.left == 0 {
+            return Ok(0);
+        }
+        let before = events.len();
+        let read = self.reader.read(events)? as u64;
+        let taken = read.min(self.left);
+        self.left -= taken;
+        events.truncate(before + taken as usize);
+        Ok(taken as usize)
+    }
+
+    fn skipped(&self) -> &Skipped {
+        self.reader.skipped()
+    }
 }
 
 impl Mcu {
@@ -142,10 +178,14 @@ impl Mcu {
     }
 
     fn open(&self) -> Result<Box<dyn EventReader>> {
-        match &self.input {
-            Some(input) => formats::open(input, self.size.sensor()),
-            None => Ok(Box::new(emulate(SCENE)?)),
-        }
+        let reader = match &self.input {
+            Some(input) => formats::open(input, self.size.sensor())?,
+            None => Box::new(emulate(SCENE)?),
+        };
+        Ok(match self.events {
+            Some(left) => Box::new(First { reader, left }),
+            None => reader,
+        })
     }
 
     fn encode(&self, qemu: &mut Qemu, job: &Job<'_>) -> Result<Outcome> {
