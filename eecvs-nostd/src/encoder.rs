@@ -593,12 +593,15 @@ impl Rest<'_> {
     fn prune_complex<C: Coefficient>(&mut self, events: u32, sums: &[C]) {
         let grid = self.grid;
         let width = u32::BITS - events.leading_zeros();
-        let (magnitudes, work) = self.magnitudes[..2 * grid].split_at_mut(grid);
-        let (re, im) = sums[..2 * grid].split_at(grid);
+        // Always there: `Config::check` asks for room.
+        let Some(magnitudes) = self.magnitudes.get_mut(..grid) else {
+            return;
+        };
+        let (re, im) = sums.split_at_checked(grid).unwrap_or_default();
         for ((magnitude, re), im) in magnitudes.iter_mut().zip(re).zip(im) {
             *magnitude = square(re.relative(width)) + square(im.relative(width));
         }
-        largest(magnitudes, self.r, work, self.kept);
+        largest(magnitudes, self.r, self.kept);
     }
 
     /// Those that are not 0, the r largest of them where they are more; out of these go the ones
@@ -614,7 +617,9 @@ impl Rest<'_> {
             }
         }
         if nonzero > self.r {
-            let (magnitudes, work) = self.magnitudes[..2 * grid].split_at_mut(grid);
+            let Some(magnitudes) = self.magnitudes.get_mut(..grid) else {
+                return;
+            };
             for (k, (magnitude, sum)) in magnitudes.iter_mut().zip(sums).enumerate() {
                 *magnitude = if events < 256 {
                     dwt::small_magnitude(sum.integer(), k)
@@ -623,7 +628,7 @@ impl Rest<'_> {
                 };
             }
             self.kept.clear(grid);
-            largest(magnitudes, self.r, work, self.kept);
+            largest(magnitudes, self.r, self.kept);
         }
         if self.quantiser.step_log2() > 0 {
             for (k, sum) in sums.iter().enumerate().take(grid).skip(1) {

@@ -39,7 +39,7 @@ impl Basis for Dct {
             events == 1,
             turn,
             &mut work.cos,
-            &mut sums[..grid],
+            sums.get_mut(..grid).unwrap_or_default(),
         );
     }
 }
