@@ -26,7 +26,7 @@ pub struct BitWriter<'o> {
 pub struct Position {
     /// Words written.
     words: usize,
-    /// Bits of the next word at its top, the newest uppermost; what is below them is left over.
+    /// Bits of the next word, the oldest lowest.
     pending: u32,
     /// Bits that the next word still takes: 1 to 32.
     free: u32,
@@ -51,41 +51,41 @@ impl<'o> BitWriter<'o> {
     pub fn put(&mut self, value: u32, bits: u32) {
         debug_assert!(bits <= 32);
         if bits > 0 {
-            self.put_some(value, bits);
+            self.put_some(value & (u32::MAX >> ((32 - bits) & 31)), bits);
         }
     }
 
-    /// As [`Self::put`], of at least one bit.
+    /// As [`Self::put`], of at least one bit, for a `value` that has no others.
     #[inline(always)]
     pub fn put_some(&mut self, value: u32, bits: u32) {
-        // In two steps where the shift may be 32, which is none in one.
-        let top = value << (32_u32.wrapping_sub(bits) & 31);
+        debug_assert!(bits > 0 && bits <= 32 && value <= u32::MAX >> (32 - bits));
         let Position { pending, free, .. } = self.state;
+        // Its lowest bit beside the newest one; what is beyond the word comes out at the bottom.
+        let turned = value.rotate_right(free);
         if bits < free {
-            self.state.pending = (pending >> (bits & 31)) | top;
+            self.state.pending = pending | turned;
             self.state.free = free - bits;
             return;
         }
-        self.complete(value, bits, top);
+        self.complete(turned, bits);
     }
 
     /// The rest of [`Self::put_some`] where the value completes a word.
     #[inline(never)]
-    fn complete(&mut self, value: u32, bits: u32, top: u32) {
+    fn complete(&mut self, turned: u32, bits: u32) {
         let Position {
             words,
             pending,
             free,
         } = self.state;
-        // The oldest `free` bits of the value complete the word; the others are at its top.
-        let word =
-            ((pending >> 1) >> ((free - 1) & 31)) | (value << (32_u32.wrapping_sub(free) & 31));
+        let beyond = (u32::MAX >> 1) >> ((free - 1) & 31);
+        let word = pending | (turned & !beyond);
         if let Some(place) = self.words.get_mut(words) {
             *place = word.to_le_bytes();
         }
         self.state = Position {
             words: words + 1,
-            pending: top,
+            pending: turned & beyond,
             free: 32 + free - bits,
         };
     }
@@ -100,8 +100,9 @@ impl<'o> BitWriter<'o> {
     #[inline(always)]
     pub fn put_exp_golomb(&mut self, value: u32, order: u32) {
         let (code, bits) = exp_golomb(value, order);
-        if bits <= 32 {
-            self.put_some(code, bits);
+        if bits < 32 {
+            // Without the 1 above it.
+            self.put_some(code ^ (1 << (bits & 31)), bits);
         } else {
             self.put_long_exp_golomb(value, order);
         }
@@ -148,7 +149,7 @@ impl<'o> BitWriter<'o> {
         } = self.state;
         match self.words.get_mut(words) {
             Some(word) => {
-                *word = ((pending >> 1) >> ((free - 1) & 31)).to_le_bytes();
+                *word = pending.to_le_bytes();
                 4 * words + (32 - free).div_ceil(8) as usize
             }
             None => 4 * self.words.len(),

@@ -14,7 +14,9 @@ use crate::prune::{Kept, largest, low_frequency};
 use crate::quantise::{Haar, Pairs, Quantiser, Run};
 use crate::regime::Thresholds;
 use crate::trace::{Stage, Trace};
-use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, M_MAX, Oscillators, Rule, Transform, dwt};
+use crate::transform::{
+    Basis, Dct, Dtft, Dwt, GRID_MAX, Impulse, M_MAX, Oscillators, Rule, Transform, dwt, rows,
+};
 use crate::window::{Closed, Push, Slot, Window, WindowBuffers, WindowConfig};
 
 /// Smallest output that always takes a frame with at least one pixel.
@@ -247,14 +249,17 @@ impl<'b> WindowEncoder<'b> {
         let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..end]);
         let scale = task.scale;
         header.last = match header.transform {
+            Transform::Dct if is_few(header) => {
+                self.encode_pixels::<Dct, true, _>(window, scale, header, &mut writer, trace)
+            }
             Transform::Dct => {
-                self.encode_pixels::<Dct, _>(window, scale, header, &mut writer, trace)
+                self.encode_pixels::<Dct, false, _>(window, scale, header, &mut writer, trace)
             }
             Transform::Dtft => {
-                self.encode_pixels::<Dtft, _>(window, scale, header, &mut writer, trace)
+                self.encode_pixels::<Dtft, false, _>(window, scale, header, &mut writer, trace)
             }
             Transform::Dwt => {
-                self.encode_pixels::<Dwt, _>(window, scale, header, &mut writer, trace)
+                self.encode_pixels::<Dwt, false, _>(window, scale, header, &mut writer, trace)
             }
         };
         trace.enter(Stage::Frame);
@@ -308,9 +313,9 @@ impl<'b> WindowEncoder<'b> {
     }
 
     /// Encodes pixels up to the last, or up to the first that finds no room; returns whether that
-    /// was the last.
+    /// was the last. `FEW` where [`is_few`] holds.
     #[inline(never)]
-    fn encode_pixels<B: Basis, T: Trace>(
+    fn encode_pixels<B: Basis, const FEW: bool, T: Trace>(
         &mut self,
         window: &mut Window<'_>,
         scale: PhaseScale,
@@ -330,7 +335,11 @@ impl<'b> WindowEncoder<'b> {
         };
         while let Some(pixel) = self.group.next(window) {
             let position = writer.position();
-            let saturated = stages.encode::<B, T>(pixel, window.slots(), writer, trace);
+            let saturated = if FEW {
+                stages.encode_few::<B, T>(pixel, window.slots(), writer, trace)
+            } else {
+                stages.encode::<B, T>(pixel, window.slots(), writer, trace)
+            };
             if writer.is_full() {
                 writer.rewind(position);
                 self.group.put_back(pixel);
@@ -343,6 +352,11 @@ impl<'b> WindowEncoder<'b> {
         }
         true
     }
+}
+
+/// Whether the DCT's coefficients are as many as stay in registers, and all of them are kept.
+fn is_few(header: &Header) -> bool {
+    usize::from(header.m) == rows::GRID && usize::from(header.grid) == rows::GRID
 }
 
 /// What turns one pixel's events into bits.
@@ -379,6 +393,9 @@ impl Stages<'_, '_> {
             self.packer.bin(bin, writer);
             return 0;
         }
+        if events as usize > CHUNK_EVENTS {
+            return self.encode_crowded::<B, T>(pixel, impulses, writer, trace);
+        }
         let sums = &mut *self.scratch.sums;
         B::accumulate(
             impulses.clone(),
@@ -388,9 +405,6 @@ impl Stages<'_, '_> {
             self.scratch.oscillators,
             sums,
         );
-        if events as usize > CHUNK_EVENTS {
-            return self.encode_crowded::<B, T>(pixel, impulses, writer, trace);
-        }
         if B::RULE as u8 == Rule::Magnitude as u8 {
             set_zeroth::<B, _>(pixel, self.grid, sums);
         }
@@ -405,7 +419,39 @@ impl Stages<'_, '_> {
         rest.encode::<B, Sum, T>(events, sums, writer, trace)
     }
 
-    /// The same for a pixel of several chunks, of which the first has been accumulated.
+    /// The same for the DCT where [`is_few`] holds: no coefficient is ever in memory.
+    #[inline(always)]
+    fn encode_few<B: Basis, T: Trace>(
+        &mut self,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> u32 {
+        trace.enter(Stage::Pack);
+        self.packer
+            .place((pixel.x, pixel.y), (pixel.on, pixel.off), writer);
+        trace.enter(Stage::Accumulate);
+        let events = pixel.on + pixel.off;
+        let impulses = Impulses::new(pixel, slots);
+        let half = |impulse: Impulse| self.scale.half(impulse.offset_us);
+        let quantiser = self.quantiser;
+        if events == 1 {
+            let sums = &rows::cosines_of_one(impulses, half);
+            trace.enter(Stage::Pack);
+            self.packer.levels(1, &Run { sums, quantiser }, writer);
+        } else if events as usize <= CHUNK_EVENTS {
+            let sums = &rows::cosines(impulses, half);
+            trace.enter(Stage::Pack);
+            self.packer.levels(events, &Run { sums, quantiser }, writer);
+        } else {
+            return self.encode_crowded::<B, T>(pixel, impulses, writer, trace);
+        }
+        0
+    }
+
+    /// The same for a pixel of several chunks.
+    #[cold]
     #[inline(never)]
     fn encode_crowded<B: Basis, T: Trace>(
         &mut self,
@@ -421,13 +467,11 @@ impl Stages<'_, '_> {
             magnitudes,
         } = &mut *self.scratch;
         let values = B::values(self.grid);
-        for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
-            *total = sum.wide();
+        for total in totals.iter_mut().take(values) {
+            *total = WideSum::ZERO;
         }
         let events = pixel.on + pixel.off;
-        let chunks = events.div_ceil(CHUNK_EVENTS as u32);
-        for _ in 1..chunks {
-            let _ = impulses.nth(CHUNK_EVENTS - 1);
+        for _ in 0..events.div_ceil(CHUNK_EVENTS as u32) {
             B::accumulate(
                 impulses.clone(),
                 events,
@@ -440,6 +484,7 @@ impl Stages<'_, '_> {
                 // Fewer than 2^24 events of at most 1 each: far from the 2^40 that a total holds.
                 *total = total.wrapping_add(sum.wide());
             }
+            let _ = impulses.nth(CHUNK_EVENTS - 1);
         }
         set_zeroth::<B, _>(pixel, self.grid, totals);
         let mut rest = Rest {
@@ -548,12 +593,15 @@ impl Rest<'_> {
     fn prune_complex<C: Coefficient>(&mut self, events: u32, sums: &[C]) {
         let grid = self.grid;
         let width = u32::BITS - events.leading_zeros();
-        let (magnitudes, work) = self.magnitudes[..2 * grid].split_at_mut(grid);
-        let (re, im) = sums[..2 * grid].split_at(grid);
+        // Always there: `Config::check` asks for room.
+        let Some(magnitudes) = self.magnitudes.get_mut(..grid) else {
+            return;
+        };
+        let (re, im) = sums.split_at_checked(grid).unwrap_or_default();
         for ((magnitude, re), im) in magnitudes.iter_mut().zip(re).zip(im) {
             *magnitude = square(re.relative(width)) + square(im.relative(width));
         }
-        largest(magnitudes, self.r, work, self.kept);
+        largest(magnitudes, self.r, self.kept);
     }
 
     /// Those that are not 0, the r largest of them where they are more; out of these go the ones
@@ -569,7 +617,9 @@ impl Rest<'_> {
             }
         }
         if nonzero > self.r {
-            let (magnitudes, work) = self.magnitudes[..2 * grid].split_at_mut(grid);
+            let Some(magnitudes) = self.magnitudes.get_mut(..grid) else {
+                return;
+            };
             for (k, (magnitude, sum)) in magnitudes.iter_mut().zip(sums).enumerate() {
                 *magnitude = if events < 256 {
                     dwt::small_magnitude(sum.integer(), k)
@@ -578,7 +628,7 @@ impl Rest<'_> {
                 };
             }
             self.kept.clear(grid);
-            largest(magnitudes, self.r, work, self.kept);
+            largest(magnitudes, self.r, self.kept);
         }
         if self.quantiser.step_log2() > 0 {
             for (k, sum) in sums.iter().enumerate().take(grid).skip(1) {

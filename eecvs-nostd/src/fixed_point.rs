@@ -47,6 +47,20 @@ pub fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
     dsp::mul_high_add(sum, a, b)
 }
 
+/// `sum` plus the products of the upper and of the lower halves, which are signed; wrapping.
+#[inline(always)]
+#[must_use]
+pub fn dot_add(sum: i32, a: u32, b: u32) -> i32 {
+    dsp::dot_add(sum, a, b)
+}
+
+/// -x for both signed halves x of `halves` where `negative` is all ones, x where it is 0.
+#[inline(always)]
+#[must_use]
+pub fn negate_halves(halves: u32, negative: u32) -> u32 {
+    dsp::negate_halves(halves, negative)
+}
+
 /// Everywhere else.
 #[cfg_attr(eecvs_dsp, allow(dead_code))]
 mod portable {
@@ -63,6 +77,21 @@ mod portable {
     #[inline(always)]
     pub const fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
         sum.wrapping_add(mul_high(a, b))
+    }
+
+    #[inline(always)]
+    pub const fn dot_add(sum: i32, a: u32, b: u32) -> i32 {
+        let upper = (a as i32 >> 16).wrapping_mul(b as i32 >> 16);
+        let lower = (a as i16 as i32).wrapping_mul(b as i16 as i32);
+        sum.wrapping_add(upper).wrapping_add(lower)
+    }
+
+    #[inline(always)]
+    pub const fn negate_halves(halves: u32, negative: u32) -> u32 {
+        let turned = halves ^ negative;
+        let upper = (turned >> 16).wrapping_sub(negative >> 16);
+        let lower = turned.wrapping_sub(negative);
+        (upper << 16) | (lower & 0xffff)
     }
 }
 
@@ -105,6 +134,28 @@ mod dsp {
                 options(pure, nomem, nostack, preserves_flags));
         }
         total
+    }
+
+    #[inline(always)]
+    pub fn dot_add(sum: i32, a: u32, b: u32) -> i32 {
+        let total;
+        // SAFETY: as for `mul_high`; an overflow would set the Q flag, which nobody reads.
+        unsafe {
+            asm!("smlad {0}, {2}, {3}, {1}", lateout(reg) total, in(reg) sum, in(reg) a, in(reg) b,
+                options(pure, nomem, nostack));
+        }
+        total
+    }
+
+    #[inline(always)]
+    pub fn negate_halves(halves: u32, negative: u32) -> u32 {
+        let negated;
+        // SAFETY: as for `mul_high`, but for the GE flags, which are not declared as preserved.
+        unsafe {
+            asm!("ssub16 {0}, {1}, {2}", lateout(reg) negated, in(reg) halves ^ negative,
+                in(reg) negative, options(pure, nomem, nostack));
+        }
+        negated
     }
 }
 

@@ -187,12 +187,13 @@ impl Packer {
         let on_bits = width_of(events);
         let (gap_code, gap_bits) = exp_golomb(gap, self.gap_order);
         let counts_bits = more_bits + on_bits;
-        if counts_bits + gap_bits <= 32 {
+        let bits = counts_bits + gap_bits;
+        if bits < 32 {
             // The 1 above the first code is taken off the number that follows it.
             let on = on.wrapping_sub(1) << (more_bits & 31);
             let counts = counts.wrapping_add(on);
             let code = counts | (gap_code << (counts_bits & 31));
-            writer.put_some(code, counts_bits + gap_bits);
+            writer.put_some(code ^ (1 << (bits & 31)), bits);
         } else {
             self.place_long(gap, events, on, writer);
         }

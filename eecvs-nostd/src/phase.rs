@@ -1,12 +1,14 @@
 //! u = (t - t0) / T as a fraction of a turn, or as one of 2^J bins.
 
+use core::num::NonZeroU32;
+
 use crate::fixed_point::Phase;
 
 /// Divides by one window's duration: a multiplication per event instead of a division.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PhaseScale {
-    duration_us: u32,
+    duration_us: NonZeroU32,
     /// What brings T to 32 significant bits.
     shift: u32,
     /// floor(2^63 / (T 2^shift)), 32 significant bits.
@@ -17,9 +19,12 @@ impl PhaseScale {
     /// Scale of a window of `duration_us`, at least 1 (0 is taken as 1).
     #[must_use]
     pub const fn new(duration_us: u32) -> Self {
-        let duration_us = if duration_us == 0 { 1 } else { duration_us };
+        let duration_us = match NonZeroU32::new(duration_us) {
+            Some(duration_us) => duration_us,
+            None => NonZeroU32::MIN,
+        };
         let shift = duration_us.leading_zeros();
-        let reciprocal = (1_u64 << 63) / ((duration_us as u64) << shift);
+        let reciprocal = (1_u64 << 63) / ((duration_us.get() as u64) << shift);
         Self {
             duration_us,
             shift,
@@ -49,9 +54,9 @@ impl PhaseScale {
     #[must_use]
     pub const fn bin(self, offset_us: u32, bins_log2: u32) -> u32 {
         if self.shift >= bins_log2 {
-            (offset_us << bins_log2) / self.duration_us
+            (offset_us << bins_log2) / self.duration_us.get()
         } else {
-            (((offset_us as u64) << bins_log2) / self.duration_us as u64) as u32
+            (((offset_us as u64) << bins_log2) / self.duration_us.get() as u64) as u32
         }
     }
 }

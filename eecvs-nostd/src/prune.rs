@@ -91,11 +91,10 @@ pub fn low_frequency(r: usize, kept: &mut Kept) {
 
 /// Adds the `r` largest of `keys` to `kept`, ties to the lower k.
 ///
-/// `work` is as long as `keys` and is overwritten. The r-th largest value is selected, everything
-/// above it is kept, and the places left go to its equals from k = 0 up. O(K) on average, and at
-/// worst where K is above 32.
+/// The r-th largest value is selected, everything above it is kept, and the places left go to its
+/// equals from k = 0 up. O(K) on average, and at worst where K is above 32: 34 passes there.
 #[inline(always)]
-pub fn largest(keys: &[u32], r: usize, work: &mut [u32], kept: &mut Kept) {
+pub fn largest(keys: &[u32], r: usize, kept: &mut Kept) {
     if r >= keys.len() {
         return low_frequency(keys.len(), kept);
     }
@@ -105,7 +104,7 @@ pub fn largest(keys: &[u32], r: usize, work: &mut [u32], kept: &mut Kept) {
     if keys.len() <= 32 {
         kept.words[0] |= largest_of_32(keys, r);
     } else {
-        largest_of_many(keys, r, work, kept);
+        largest_of_many(keys, r, kept);
     }
 }
 
@@ -168,13 +167,16 @@ fn select(work: &mut [u32; 32], len: usize, rank: usize) -> u32 {
 
 /// [`largest`] of any number.
 #[inline(never)]
-fn largest_of_many(keys: &[u32], r: usize, work: &mut [u32], kept: &mut Kept) {
-    let (Some(last), Some(work)) = (r.checked_sub(1), work.get_mut(..keys.len())) else {
-        return;
-    };
-    work.copy_from_slice(keys);
-    let (_, threshold, _) = work.select_nth_unstable_by(last, |a, b| b.cmp(a));
-    let threshold = *threshold;
+fn largest_of_many(keys: &[u32], r: usize, kept: &mut Kept) {
+    let at_least = |key: u32| keys.iter().filter(|k| **k >= key).count();
+    // The r-th largest, bit by bit from the top: the greatest that r of them reach.
+    let mut threshold = 0;
+    for bit in (0..u32::BITS).rev() {
+        let higher = threshold | (1 << bit);
+        if at_least(higher) >= r {
+            threshold = higher;
+        }
+    }
     let above = keys.iter().filter(|key| **key > threshold).count();
     let mut ties = r.saturating_sub(above);
     for (k, key) in keys.iter().enumerate() {
@@ -194,9 +196,8 @@ mod tests {
     use std::vec::Vec;
 
     fn kept(keys: &[u32], r: usize) -> Vec<usize> {
-        let mut work = [0; 128];
         let mut kept = Kept::NONE;
-        largest(keys, r, &mut work, &mut kept);
+        largest(keys, r, &mut kept);
         let mut found = Vec::new();
         kept.for_each(GRID_MAX, |k| found.push(k));
         assert_eq!(kept.count(GRID_MAX) as usize, found.len());

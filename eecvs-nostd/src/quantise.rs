@@ -137,7 +137,7 @@ pub trait Levels {
     /// Puts the low `bits` (1 to 32) of every level but that of k = 0.
     #[inline(always)]
     fn put(&self, bits: u32, writer: &mut BitWriter<'_>) {
-        self.for_each(|level| writer.put_some(level as u32, bits));
+        self.for_each(|level| writer.put(level as u32, bits));
     }
 }
 
@@ -186,7 +186,7 @@ impl<C: Coefficient> Levels for Run<'_, C> {
             }
         }
         for sum in rest {
-            writer.put_some(level(sum) as u32, bits);
+            writer.put(level(sum) as u32, bits);
         }
     }
 }
@@ -221,7 +221,7 @@ impl<C: Coefficient> Levels for Pairs<'_, C> {
     #[inline(always)]
     fn put(&self, bits: u32, writer: &mut BitWriter<'_>) {
         if bits > 16 {
-            return self.for_each(|level| writer.put_some(level as u32, bits));
+            return self.for_each(|level| writer.put(level as u32, bits));
         }
         let (re, im) = self.sums.split_at(self.grid.min(self.sums.len()));
         self.kept.for_each(self.grid, |k| {

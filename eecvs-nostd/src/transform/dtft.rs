@@ -32,12 +32,14 @@ impl Basis for Dtft {
             let half = scale.half(impulse.offset_us).to_bits();
             Phase::from_bits((half << 1).wrapping_neg())
         };
+        let (re, im) = sums.split_at_mut_checked(grid).unwrap_or_default();
+        let im = im.get_mut(..grid).unwrap_or_default();
         oscillator::cosines_and_sines(
             &impulses,
             events == 1,
             turn,
             (&mut work.cos, &mut work.sin),
-            sums[..2 * grid].split_at_mut(grid),
+            (re, im),
         );
     }
 }

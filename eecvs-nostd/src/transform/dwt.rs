@@ -1,5 +1,7 @@
 //! Haar DWT: c_0 = sum_i p_i, c_(2^j + m) = sum_i p_i 2^(j/2) h(2^j u_i - m), the largest kept.
 
+use core::cell::Cell;
+
 use super::{Basis, Impulse, Oscillators, Rule, Transform};
 use crate::fixed_point::{CHUNK_EVENTS, Sum};
 use crate::phase::PhaseScale;
@@ -35,7 +37,8 @@ impl Basis for Dwt {
         sums: &mut [Sum],
     ) {
         debug_assert!(grid.is_power_of_two());
-        let (differences, bins) = sums[..2 * grid].split_at_mut(grid);
+        let (differences, bins) = sums.split_at_mut_checked(grid).unwrap_or_default();
+        let bins = bins.get_mut(..grid).unwrap_or_default();
         bins.fill(Sum::ZERO);
         let bins_log2 = grid.trailing_zeros();
         for impulse in impulses.take(CHUNK_EVENTS) {
@@ -51,12 +54,15 @@ impl Basis for Dwt {
         }
         // At scale j the pairs of 2^(j+1) bins become their sum, a bin of the next coarser scale,
         // and their difference, D at k = 2^j + m.
+        let bins = Cell::from_mut(bins).as_slice_of_cells();
+        let (pairs, _) = bins.as_chunks::<2>();
         let mut half = grid / 2;
         while half > 0 {
-            for m in 0..half {
-                let (first, second) = (bins[2 * m], bins[2 * m + 1]);
-                differences[half + m] = first - second;
-                bins[m] = first + second;
+            let differences = differences.get_mut(half..2 * half).unwrap_or_default();
+            for ((bin, [first, second]), difference) in bins.iter().zip(pairs).zip(differences) {
+                let (first, second) = (first.get(), second.get());
+                *difference = first - second;
+                bin.set(first + second);
             }
             half /= 2;
         }

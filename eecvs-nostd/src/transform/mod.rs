@@ -7,6 +7,7 @@ pub mod dct;
 pub mod dtft;
 pub mod dwt;
 pub mod oscillator;
+pub mod rows;
 
 use crate::fixed_point::{CHUNK_EVENTS, Sum};
 use crate::phase::PhaseScale;

@@ -156,6 +156,13 @@ fn run(oscillators: &mut [Oscillator], sums: &mut [Sum]) {
     }
 }
 
+/// [`run`] of the first `len` oscillators and the sums of `k` up to `end`, which are there.
+#[inline(always)]
+fn run_part(work: &mut [Oscillator], len: usize, sums: &mut [Sum], (k, end): (usize, usize)) {
+    let oscillators = work.get_mut(..len).unwrap_or_default();
+    run(oscillators, sums.get_mut(k..end).unwrap_or_default());
+}
+
 /// The atoms of a single event: no sum is read, and no oscillator leaves the registers.
 #[inline(always)]
 fn run_of_one(mut oscillator: Oscillator, sums: &mut [Sum]) {
@@ -200,7 +207,7 @@ fn fill(
         *oscillator = start(impulse);
         len += 1;
     }
-    &mut work[..len]
+    work.get_mut(..len).unwrap_or_default()
 }
 
 /// sum p cos(k a) for k in 1..`sums.len()`; a in turns is `turn` of an impulse.
@@ -229,7 +236,7 @@ pub fn cosines(
             let x = [k - 1, k].map(|k| cos(times(turn, k)));
             Oscillator::start(impulse, cos(turn), x[0], x[1])
         });
-        run(oscillators, &mut sums[k..end]);
+        run(oscillators, sums.get_mut(k..end).unwrap_or_default());
     }
 }
 
@@ -273,18 +280,16 @@ pub fn cosines_and_sines(
     };
     let grid = cos_sums.len();
     let end = grid.min(RUN);
-    let cos_run = cos_sums.get_mut(1..end).unwrap_or(&mut []);
-    let sin_run = sin_sums.get_mut(1..end).unwrap_or(&mut []);
     if is_single {
         if let Some(impulse) = impulses.clone().next() {
             let (cos, sin) = first(impulse);
-            run_of_one(cos, cos_run);
-            run_of_one(sin, sin_run);
+            run_of_one(cos, cos_sums.get_mut(1..end).unwrap_or_default());
+            run_of_one(sin, sin_sums.get_mut(1..end).unwrap_or_default());
         }
     } else {
         let len = fill_pairs(impulses.clone(), first, cos_work, sin_work);
-        run(&mut cos_work[..len], cos_run);
-        run(&mut sin_work[..len], sin_run);
+        run_part(cos_work, len, cos_sums, (1, end));
+        run_part(sin_work, len, sin_sums, (1, end));
     }
     for (k, end) in later_runs(grid) {
         let start = |impulse: Impulse| {
@@ -297,8 +302,8 @@ pub fn cosines_and_sines(
             )
         };
         let len = fill_pairs(impulses.clone(), start, cos_work, sin_work);
-        run(&mut cos_work[..len], &mut cos_sums[k..end]);
-        run(&mut sin_work[..len], &mut sin_sums[k..end]);
+        run_part(cos_work, len, cos_sums, (k, end));
+        run_part(sin_work, len, sin_sums, (k, end));
     }
 }
 

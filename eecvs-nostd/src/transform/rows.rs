@@ -1,0 +1,215 @@
+//! p cos(pi k u) for k = 1..7 from a table with lines between its rows: the DCT of small grids.
+//!
+//! A row holds a line for each k from its u to the next row's: cos and slope, 16 bits each, so that
+//! one `smlad` with the weights (p, p d), d the distance from the row, adds an atom. The rows span
+//! half of the window; u and 1 - u share one, of which odd k change the sign.
+//!
+//! Error of an atom at the most, for k = 7: the line's 2.9e-5 (half of the curve's bend, as the
+//! line runs in the middle of it), 2^-16 of both ends' rounding, and 2^-11 rows of the distance's,
+//! 1.0e-5: 5.5e-5 = 2^-14.15. `atoms_are_within_the_bound` goes through every row and distance and
+//! enforces 2^-14.2, and that no atom reaches 1.
+
+use core::f64::consts::FRAC_PI_2;
+
+use crate::atom::cos_first_quarter;
+use crate::fixed_point::{CHUNK_EVENTS, Phase, Sum, dot_add, negate_halves};
+use crate::transform::Impulse;
+
+/// Largest K.
+pub const GRID: usize = 8;
+/// Coefficients but for c_0.
+const ATOMS: usize = GRID - 1;
+/// Rows from u = 0 to u = 1/2.
+const ROWS: usize = 1 << ROWS_LOG2;
+const ROWS_LOG2: u32 = 9;
+
+/// cos in units of [`ONE`] in the upper half, slope per row with 15 fractional bits in the lower.
+type Line = u32;
+
+static LINES: [[Line; ATOMS]; ROWS] = lines();
+
+/// Fractional bits of a sum: 64 atoms of a chunk stay below 2^31.
+const FRACTION_BITS: u32 = 25;
+const _: () = assert!(CHUNK_EVENTS << FRACTION_BITS <= 1 << 31);
+/// Bits of the distance from a row, whose weight is 1 for a whole row.
+const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
+/// Weight of the cosine. Not 2^10, whose multiples are up to 2^-15 away from the largest atom.
+const ONE: i32 = 1056;
+/// Largest atom: |c_k| < n is what lets the levels of n events do without a bit for n itself.
+const ATOM_MAX: i32 = (1 << FRACTION_BITS) - 1;
+
+/// An event's lines and their weights.
+#[derive(Debug, Clone, Copy)]
+struct Weighted {
+    lines: &'static [Line; ATOMS],
+    /// p and p d for even k.
+    even: u32,
+    /// The same for odd k.
+    odd: u32,
+}
+
+impl Weighted {
+    /// Of an event at the `half` turn u / 2.
+    #[inline(always)]
+    fn new(half: Phase, is_on: bool) -> Self {
+        let half = half.to_bits();
+        // All ones in the second half of the window, which is turned round: 30 bits are left.
+        let turned = ((half << 1) as i32 >> 31) as u32;
+        let from_edge = half ^ turned;
+        let row = (from_edge >> (30 - ROWS_LOG2)) as usize % ROWS;
+        let distance = (from_edge >> (30 - ROWS_LOG2 - DISTANCE_BITS)) % (1 << DISTANCE_BITS);
+        let weights = ((ONE as u32) << 16) | distance;
+        let negative = if is_on { 0 } else { u32::MAX };
+        Self {
+            lines: &LINES[row],
+            even: negate_halves(weights, negative),
+            odd: negate_halves(weights, negative ^ turned),
+        }
+    }
+
+    /// Adds the atoms to `sums`.
+    #[inline(always)]
+    fn add(self, sums: [i32; ATOMS]) -> [i32; ATOMS] {
+        let mut sums = sums;
+        for (i, (sum, line)) in sums.iter_mut().zip(self.lines).enumerate() {
+            // k = i + 1
+            let weights = if i % 2 == 0 { self.odd } else { self.even };
+            *sum = dot_add(*sum, *line, weights);
+        }
+        sums
+    }
+}
+
+/// sum p cos(pi k u) for k = 1..8 over at most [`CHUNK_EVENTS`] impulses, of which `half` gives
+/// u / 2.
+#[inline(always)]
+pub fn cosines(
+    impulses: impl Iterator<Item = Impulse>,
+    half: impl Fn(Impulse) -> Phase,
+) -> [Sum; ATOMS] {
+    let mut sums = [0; ATOMS];
+    for impulse in impulses {
+        sums = Weighted::new(half(impulse), impulse.is_on).add(sums);
+    }
+    sums.map(sum_of)
+}
+
+/// [`cosines`] of the first impulse alone.
+#[inline(always)]
+pub fn cosines_of_one(
+    mut impulses: impl Iterator<Item = Impulse>,
+    half: impl Fn(Impulse) -> Phase,
+) -> [Sum; ATOMS] {
+    impulses.next().map_or([Sum::ZERO; ATOMS], |impulse| {
+        let weighted = Weighted::new(half(impulse), impulse.is_on);
+        weighted.add([0; ATOMS]).map(sum_of)
+    })
+}
+
+#[inline(always)]
+fn sum_of(bits: i32) -> Sum {
+    Sum::from_bits(bits >> (FRACTION_BITS - 23))
+}
+
+/// The table in constant evaluation: the same bits on every machine.
+const fn lines() -> [[Line; ATOMS]; ROWS] {
+    let mut lines = [[0; ATOMS]; ROWS];
+    let mut row = 0;
+    while row < ROWS {
+        let mut i = 0;
+        while i < ATOMS {
+            lines[row][i] = line(row, i + 1);
+            i += 1;
+        }
+        row += 1;
+    }
+    lines
+}
+
+/// The line for k from `row` to the next: the chord, moved by half of its distance from the curve.
+const fn line(row: usize, k: usize) -> Line {
+    let step = k as f64 * (FRAC_PI_2 / ROWS as f64);
+    let (from, to) = (cos_of_rows(k * row), cos_of_rows(k * (row + 1)));
+    let bend = (from + to) / 2.0 * (step * step / 16.0);
+    // A distance stands for the middle of its last bit.
+    let half_bit = (to - from) / (2 << DISTANCE_BITS) as f64;
+    let scale = (1_u32 << FRACTION_BITS) as f64;
+    let from = (from + bend + half_bit) * scale;
+    let to = (to + bend + half_bit) * scale;
+    let cos = clamp(round(from / ONE as f64), ATOM_MAX / ONE);
+    let from = cos * ONE;
+    // The slope ends where the curve does, whatever the cosine's rounding was.
+    let slope = round((to - from as f64) / (1 << DISTANCE_BITS) as f64);
+    let slope = clamp(from + (slope << DISTANCE_BITS), ATOM_MAX) - from;
+    // Towards 0 where it was cut.
+    let slope = slope / (1 << DISTANCE_BITS);
+    ((cos as u32) << 16) | (slope as u32 & 0xffff)
+}
+
+const fn clamp(x: i32, most: i32) -> i32 {
+    if x > most {
+        most
+    } else if x < -most {
+        -most
+    } else {
+        x
+    }
+}
+
+const fn round(x: f64) -> i32 {
+    (if x < 0.0 { x - 0.5 } else { x + 0.5 }) as i32
+}
+
+/// cos(pi / 2 i / ROWS)
+const fn cos_of_rows(i: usize) -> f64 {
+    let within = (i % ROWS) as f64 * (FRAC_PI_2 / ROWS as f64);
+    let rest = FRAC_PI_2 - within;
+    match i / ROWS % 4 {
+        0 => cos_first_quarter(within),
+        1 => -cos_first_quarter(rest),
+        2 => -cos_first_quarter(within),
+        _ => cos_first_quarter(rest),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn table_is_pinned() {
+        let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+        let mut digest = crc.digest();
+        for line in LINES.as_flattened() {
+            digest.update(&line.to_le_bytes());
+        }
+        assert_eq!(digest.finalize(), 162_901_694, "the table's checksum");
+    }
+
+    #[test]
+    fn atoms_are_within_the_bound() {
+        let (mut worst, mut largest) = ([0.0_f64; ATOMS], 0);
+        let bits = ROWS_LOG2 + DISTANCE_BITS;
+        // Both ends and the middle of every distance, in both halves of the window.
+        let unit = 1_u32 << (30 - bits);
+        for at in 0..2_u32 << bits {
+            for within in [0, unit / 2, unit - 1] {
+                let half = at * unit + within;
+                let phase = Phase::from_bits(half);
+                let atoms = Weighted::new(phase, true).add([0; ATOMS]);
+                let negative = Weighted::new(phase, false).add([0; ATOMS]);
+                for (i, (atom, negative)) in atoms.into_iter().zip(negative).enumerate() {
+                    assert_eq!(atom, -negative);
+                    largest = largest.max(atom.abs());
+                    let u = f64::from(half) / f64::from(1 << 31);
+                    let exact = libm::cos((i + 1) as f64 * core::f64::consts::PI * u);
+                    let error = f64::from(atom) / f64::from(1 << FRACTION_BITS) - exact;
+                    worst[i] = worst[i].max(error.abs());
+                }
+            }
+        }
+        let worst = worst.map(libm::log2);
+        assert!(worst.iter().all(|worst| *worst <= -14.2), "{worst:?}");
+        assert!(largest < 1 << FRACTION_BITS);
+    }
+}
