@@ -563,7 +563,9 @@ impl Rest<'_> {
                 if self.r > 1 || !kept.contains(0) {
                     self.packer.levels(events, &levels, writer);
                 }
-                let is_sent = |k: usize| k != 0 && k != grid && kept.contains(k % grid);
+                let is_sent = |k: usize| {
+                    k != 0 && k != grid && kept.contains(if k < grid { k } else { k - grid })
+                };
                 let sums = sums.iter().enumerate().take(2 * grid);
                 cut::<C>(
                     sums.filter(|(k, _)| is_sent(*k)).map(|(_, sum)| sum),

@@ -53,10 +53,18 @@ impl PhaseScale {
     #[inline(always)]
     #[must_use]
     pub const fn bin(self, offset_us: u32, bins_log2: u32) -> u32 {
-        if self.shift >= bins_log2 {
-            (offset_us << bins_log2) / self.duration_us.get()
+        // Never 0; asking leaves no panic in the code.
+        let bin = if self.shift >= bins_log2 {
+            (offset_us << bins_log2).checked_div(self.duration_us.get())
         } else {
-            (((offset_us as u64) << bins_log2) / self.duration_us.get() as u64) as u32
+            match ((offset_us as u64) << bins_log2).checked_div(self.duration_us.get() as u64) {
+                Some(bin) => Some(bin as u32),
+                None => None,
+            }
+        };
+        match bin {
+            Some(bin) => bin,
+            None => 0,
         }
     }
 }

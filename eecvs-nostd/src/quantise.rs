@@ -84,7 +84,11 @@ impl Quantiser {
             return difference;
         }
         let divisor = self.haar_divisor(scale);
-        let magnitude = ((difference.unsigned_abs() + divisor / 2) / divisor) as i32;
+        // The divisor is never 0; asking leaves no panic in the code.
+        let magnitude = match (difference.unsigned_abs() + divisor / 2).checked_div(divisor) {
+            Some(magnitude) => magnitude as i32,
+            None => 0,
+        };
         if difference < 0 {
             -magnitude
         } else {
