@@ -1,5 +1,7 @@
 //! Coefficients to integer levels and back.
 
+use core::num::NonZeroU32;
+
 use crate::bits::BitWriter;
 use crate::fixed_point::{Coefficient, mul_add};
 use crate::prune::Kept;
@@ -83,8 +85,12 @@ impl Quantiser {
         if self.step_log2 <= 0 {
             return difference;
         }
-        let divisor = self.haar_divisor(scale);
-        let magnitude = ((difference.unsigned_abs() + divisor / 2) / divisor) as i32;
+        // Never 0; the type spares the division its check.
+        let Some(divisor) = NonZeroU32::new(self.haar_divisor(scale)) else {
+            return difference;
+        };
+        let half = divisor.get() / 2;
+        let magnitude = ((difference.unsigned_abs() + half) / divisor.get()) as i32;
         if difference < 0 {
             -magnitude
         } else {
