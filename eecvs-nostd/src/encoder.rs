@@ -437,7 +437,6 @@ impl Stages<'_, '_> {
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) -> u32 {
-        trace.enter(Stage::Pack);
         match pixel.on + pixel.off {
             1 => self.encode_one(&pixel, slots, writer, trace),
             2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
@@ -446,7 +445,7 @@ impl Stages<'_, '_> {
         0
     }
 
-    /// A pixel of one event. Apart, as the next, so that each has the registers for itself.
+    /// A pixel of one event.
     #[inline(always)]
     fn encode_one<T: Trace>(
         &mut self,
@@ -455,6 +454,7 @@ impl Stages<'_, '_> {
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) {
+        trace.enter(Stage::Pack);
         writer.aside(|writer| {
             let counts = (pixel.on, 1 - pixel.on);
             let place = self.packer.place_code((pixel.x, pixel.y), counts, writer);
@@ -467,7 +467,7 @@ impl Stages<'_, '_> {
     }
 
     /// A pixel of a chunk's events.
-    #[inline(never)]
+    #[inline(always)]
     fn encode_several<T: Trace>(
         &mut self,
         pixel: &Pixel,
@@ -601,7 +601,10 @@ impl Rest<'_> {
                 if self.r > 1 || !kept.contains(0) {
                     self.packer.levels(events, &levels, writer);
                 }
-                let is_sent = |k: usize| k != 0 && k != grid && kept.contains(k % grid);
+                let is_sent = |k: usize| {
+                    let k = if k < grid { k } else { k - grid };
+                    k != 0 && kept.contains(k)
+                };
                 let sums = sums.iter().enumerate().take(2 * grid);
                 cut::<C>(
                     sums.filter(|(k, _)| is_sent(*k)).map(|(_, sum)| sum),
