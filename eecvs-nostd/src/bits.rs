@@ -49,43 +49,65 @@ impl<'o> BitWriter<'o> {
     /// Puts the low `bits` (0 to 32) of `value`, whose others may be anything.
     #[inline(always)]
     pub fn put(&mut self, value: u32, bits: u32) {
-        debug_assert!(bits <= 32);
         if bits > 0 {
-            self.put_some(value & (u32::MAX >> ((32 - bits) & 31)), bits);
+            self.put_clean(value & (u32::MAX >> (32_u32.wrapping_sub(bits) & 31)), bits);
         }
     }
 
-    /// As [`Self::put`], of at least one bit, for a `value` that has no others.
+    /// As [`Self::put`], for a `value` that has no other bits.
     #[inline(always)]
-    pub fn put_some(&mut self, value: u32, bits: u32) {
-        debug_assert!(bits > 0 && bits <= 32 && value <= u32::MAX >> (32 - bits));
-        let Position { pending, free, .. } = self.state;
-        // Its lowest bit beside the newest one; what is beyond the word comes out at the bottom.
-        let turned = value.rotate_right(free);
-        if bits < free {
-            self.state.pending = pending | turned;
-            self.state.free = free - bits;
-            return;
+    pub fn put_clean(&mut self, value: u32, bits: u32) {
+        debug_assert!(bits <= 32 && u64::from(value) < 1 << bits);
+        if !self.put_within(value, bits) {
+            self.complete_apart(value, bits);
         }
-        self.complete(turned, bits);
     }
 
-    /// The rest of [`Self::put_some`] where the value completes a word.
+    /// The same all in place, for what is worth the flash.
+    #[inline(always)]
+    pub fn put_here(&mut self, value: u32, bits: u32) {
+        debug_assert!(bits <= 32 && u64::from(value) < 1 << bits);
+        if !self.put_within(value, bits) {
+            self.complete(value, bits);
+        }
+    }
+
+    /// Whether the value leaves room in the word; else nothing has been put.
+    #[inline(always)]
+    fn put_within(&mut self, value: u32, bits: u32) -> bool {
+        let Position { pending, free, .. } = self.state;
+        if bits < free {
+            self.state.pending = pending | value.rotate_right(free);
+            self.state.free = free - bits;
+            return true;
+        }
+        false
+    }
+
     #[inline(never)]
-    fn complete(&mut self, turned: u32, bits: u32) {
+    fn complete_apart(&mut self, value: u32, bits: u32) {
+        self.complete(value, bits);
+    }
+
+    /// The rest of [`Self::put_clean`] where the value completes a word.
+    #[inline(always)]
+    fn complete(&mut self, value: u32, bits: u32) {
         let Position {
             words,
             pending,
             free,
         } = self.state;
-        let beyond = (u32::MAX >> 1) >> ((free - 1) & 31);
-        let word = pending | (turned & !beyond);
+        // Its lowest bit beside the newest one; what is beyond the word comes out at the bottom.
+        let turned = value.rotate_right(free);
+        // The bits for the next word: as many as this one had already, none where it was empty.
+        let beyond = turned & (1_u32.rotate_right(free).wrapping_sub(1));
+        let word = pending | turned.wrapping_sub(beyond);
         if let Some(place) = self.words.get_mut(words) {
             *place = word.to_le_bytes();
         }
         self.state = Position {
             words: words + 1,
-            pending: turned & beyond,
+            pending: beyond,
             free: 32 + free - bits,
         };
     }
@@ -93,7 +115,7 @@ impl<'o> BitWriter<'o> {
     /// `count` (0 to 31) zeros and a one.
     #[inline(always)]
     pub fn put_unary(&mut self, count: u32) {
-        self.put_some(1 << (count & 31), count + 1);
+        self.put_clean(1 << (count & 31), count + 1);
     }
 
     /// Exp-Golomb code of `order` (0 to 31) of a value below 2^32 - 2^order.
@@ -102,7 +124,7 @@ impl<'o> BitWriter<'o> {
         let (code, bits) = exp_golomb(value, order);
         if bits < 32 {
             // Without the 1 above it.
-            self.put_some(code ^ (1 << (bits & 31)), bits);
+            self.put_clean(code ^ (1 << (bits & 31)), bits);
         } else {
             self.put_long_exp_golomb(value, order);
         }
@@ -116,6 +138,18 @@ impl<'o> BitWriter<'o> {
         let low_bits = shifted.leading_zeros() ^ 31;
         self.put_unary(low_bits.wrapping_sub(order) & 31);
         self.put(shifted, low_bits);
+    }
+
+    /// Lets `write` put something into a copy of this writer, whose state is in memory there; here
+    /// it stays in registers.
+    #[inline(always)]
+    pub fn aside(&mut self, write: impl FnOnce(&mut BitWriter<'_>)) {
+        let mut copy = BitWriter {
+            words: self.words,
+            state: self.state,
+        };
+        write(&mut copy);
+        self.state = copy.state;
     }
 
     /// Whether something put did not fit; nothing put since an earlier [`Self::position`] that was

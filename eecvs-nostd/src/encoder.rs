@@ -243,7 +243,6 @@ impl<'b> WindowEncoder<'b> {
         header.late = counts.late;
         header.filtered = counts.filtered;
         header.dropped = counts.dropped;
-        (header.events, header.pixels, header.saturated) = (0, 0, 0);
 
         let end = out.len().min(FRAME_BYTES_MAX) - CRC_BYTES;
         let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..end]);
@@ -333,9 +332,11 @@ impl<'b> WindowEncoder<'b> {
             kept: &mut self.kept,
             packer: packing.packer(),
         };
+        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
+        let mut is_last = true;
         while let Some(pixel) = self.group.next(window) {
             let position = writer.position();
-            let saturated = if FEW {
+            let saturates = if FEW {
                 stages.encode_few::<B, T>(pixel, window.slots(), writer, trace)
             } else {
                 stages.encode::<B, T>(pixel, window.slots(), writer, trace)
@@ -343,20 +344,27 @@ impl<'b> WindowEncoder<'b> {
             if writer.is_full() {
                 writer.rewind(position);
                 self.group.put_back(pixel);
-                return false;
+                is_last = false;
+                break;
             }
-            header.events += pixel.on + pixel.off;
-            header.pixels += 1;
-            header.saturated = header.saturated.saturating_add(saturated);
+            events += pixel.on + pixel.off;
+            pixels += 1;
+            saturated = saturated.saturating_add(saturates);
             trace.enter(Stage::Group);
         }
-        true
+        (header.events, header.pixels, header.saturated) = (events, pixels, saturated);
+        is_last
     }
 }
 
-/// Whether the DCT's coefficients are as many as stay in registers, and all of them are kept.
+const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
+
+/// Whether the DCT's coefficients are as many as stay in registers, all of them are kept, and the
+/// step is 1 at the most.
 fn is_few(header: &Header) -> bool {
-    usize::from(header.m) == rows::GRID && usize::from(header.grid) == rows::GRID
+    usize::from(header.m) == rows::GRID
+        && usize::from(header.grid) == rows::GRID
+        && header.quantiser.step_log2() <= 0
 }
 
 /// What turns one pixel's events into bits.
@@ -419,7 +427,8 @@ impl Stages<'_, '_> {
         rest.encode::<B, Sum, T>(events, sums, writer, trace)
     }
 
-    /// The same for the DCT where [`is_few`] holds: no coefficient is ever in memory.
+    /// The same for the DCT where [`is_few`] holds: the few coefficients have a loop and a packing
+    /// of their own.
     #[inline(always)]
     fn encode_few<B: Basis, T: Trace>(
         &mut self,
@@ -428,26 +437,54 @@ impl Stages<'_, '_> {
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) -> u32 {
-        trace.enter(Stage::Pack);
-        self.packer
-            .place((pixel.x, pixel.y), (pixel.on, pixel.off), writer);
-        trace.enter(Stage::Accumulate);
-        let events = pixel.on + pixel.off;
-        let impulses = Impulses::new(pixel, slots);
-        let half = |impulse: Impulse| self.scale.half(impulse.offset_us);
-        let quantiser = self.quantiser;
-        if events == 1 {
-            let sums = &rows::cosines_of_one(impulses, half);
-            trace.enter(Stage::Pack);
-            self.packer.levels(1, &Run { sums, quantiser }, writer);
-        } else if events as usize <= CHUNK_EVENTS {
-            let sums = &rows::cosines(impulses, half);
-            trace.enter(Stage::Pack);
-            self.packer.levels(events, &Run { sums, quantiser }, writer);
-        } else {
-            return self.encode_crowded::<B, T>(pixel, impulses, writer, trace);
+        match pixel.on + pixel.off {
+            1 => self.encode_one(&pixel, slots, writer, trace),
+            2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
+            _ => return self.encode::<B, T>(pixel, slots, writer, trace),
         }
         0
+    }
+
+    /// A pixel of one event.
+    #[inline(always)]
+    fn encode_one<T: Trace>(
+        &mut self,
+        pixel: &Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        trace.enter(Stage::Pack);
+        writer.aside(|writer| {
+            let counts = (pixel.on, 1 - pixel.on);
+            let place = self.packer.place_code((pixel.x, pixel.y), counts, writer);
+            trace.enter(Stage::Accumulate);
+            let half = |impulse: Impulse| self.scale.half(impulse.offset_us);
+            let sums = rows::cosines_of_one(Impulses::new(*pixel, slots), half);
+            trace.enter(Stage::Pack);
+            self.packer.seven_levels::<true>(place, 1, sums, writer);
+        });
+    }
+
+    /// A pixel of a chunk's events.
+    #[inline(always)]
+    fn encode_several<T: Trace>(
+        &mut self,
+        pixel: &Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        trace.enter(Stage::Accumulate);
+        let half = |impulse: Impulse| self.scale.half(impulse.offset_us);
+        let sums = rows::cosines(Impulses::new(*pixel, slots), half);
+        trace.enter(Stage::Pack);
+        writer.aside(|writer| {
+            let counts = (pixel.on, pixel.off);
+            let place = self.packer.place_code((pixel.x, pixel.y), counts, writer);
+            self.packer
+                .seven_levels::<false>(place, pixel.on + pixel.off, sums, writer);
+        });
     }
 
     /// The same for a pixel of several chunks.
@@ -537,7 +574,8 @@ impl Rest<'_> {
             Transform::Dct => {
                 trace.enter(Stage::Pack);
                 let sums = sums.get(1..self.r).unwrap_or(&[]);
-                let levels = Run { sums, quantiser };
+                let shift = quantiser.shift();
+                let levels = Run { sums, shift };
                 if !sums.is_empty() {
                     self.packer.levels(events, &levels, writer);
                 }
@@ -564,7 +602,8 @@ impl Rest<'_> {
                     self.packer.levels(events, &levels, writer);
                 }
                 let is_sent = |k: usize| {
-                    k != 0 && k != grid && kept.contains(if k < grid { k } else { k - grid })
+                    let k = if k < grid { k } else { k - grid };
+                    k != 0 && kept.contains(k)
                 };
                 let sums = sums.iter().enumerate().take(2 * grid);
                 cut::<C>(

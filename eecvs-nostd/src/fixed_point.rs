@@ -47,6 +47,13 @@ pub fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
     dsp::mul_high_add(sum, a, b)
 }
 
+/// a b + c, wrapping; one instruction also where b is known to be a power of two.
+#[inline(always)]
+#[must_use]
+pub fn mul_add(a: i32, b: i32, c: i32) -> i32 {
+    dsp::mul_add(a, b, c)
+}
+
 /// `sum` plus the products of the upper and of the lower halves, which are signed; wrapping.
 #[inline(always)]
 #[must_use]
@@ -77,6 +84,11 @@ mod portable {
     #[inline(always)]
     pub const fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
         sum.wrapping_add(mul_high(a, b))
+    }
+
+    #[inline(always)]
+    pub const fn mul_add(a: i32, b: i32, c: i32) -> i32 {
+        a.wrapping_mul(b).wrapping_add(c)
     }
 
     #[inline(always)]
@@ -134,6 +146,17 @@ mod dsp {
                 options(pure, nomem, nostack, preserves_flags));
         }
         total
+    }
+
+    #[inline(always)]
+    pub fn mul_add(a: i32, b: i32, c: i32) -> i32 {
+        let sum;
+        // SAFETY: as for `mul_high`.
+        unsafe {
+            asm!("mla {0}, {1}, {2}, {3}", lateout(reg) sum, in(reg) a, in(reg) b, in(reg) c,
+                options(pure, nomem, nostack, preserves_flags));
+        }
+        sum
     }
 
     #[inline(always)]

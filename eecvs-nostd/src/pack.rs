@@ -11,9 +11,9 @@ use crate::bits::{BitReader, BitWriter, Ended, Full, exp_golomb};
 use crate::descriptor::Descriptor;
 use crate::event::Sensor;
 use crate::prune::Kept;
-use crate::quantise::{Level, Levels, Quantiser};
+use crate::quantise::{Level, Levels, Quantiser, Run, Seven};
 use crate::transform::dwt::{bin_is_told, bin_of, single_levels};
-use crate::transform::{M_MAX, Rule, Transform};
+use crate::transform::{M_MAX, Rule, Transform, rows};
 
 /// Bytes that one packed pixel can take at the most: gap and counts 15, which coefficients 81,
 /// 128 numbers of 4; `the_largest_pixel_fits_its_bound` packs it.
@@ -109,14 +109,15 @@ impl Packing {
 
     /// Bits of the widest level that a pixel of `events` can have: |c| < n.
     #[inline(always)]
-    fn level_bits_max(&self, events: u32) -> u32 {
+    const fn level_bits_max(&self, events: u32) -> u32 {
         let fraction_bits = match self.transform {
-            Transform::Dct | Transform::Dtft => -i32::from(self.quantiser.step_log2()),
+            Transform::Dct | Transform::Dtft => -(self.quantiser.step_log2() as i32),
             // Haar levels count events, or several of them at a coarse step.
             Transform::Dwt => 0,
         };
         let bits = width_of(events.wrapping_sub(1)) as i32 + fraction_bits;
-        (bits.max(0) as u32 + 1).min(32)
+        let bits = if bits < 0 { 0 } else { bits as u32 };
+        if bits < 32 { bits + 1 } else { 32 }
     }
 
     /// log2 of K, a power of two for the DWT, and r.
@@ -140,6 +141,8 @@ impl Packing {
         Packer {
             packing: *self,
             gap_order: self.gap_order(),
+            one_bits: self.level_bits_max(1),
+            shift: self.quantiser.shift() + rows::MORE_BITS,
             next_index: 0,
         }
     }
@@ -171,6 +174,10 @@ impl Packing {
 pub struct Packer {
     packing: Packing,
     gap_order: u32,
+    /// Bits of a level of one event.
+    one_bits: u32,
+    /// [`Quantiser::shift`] for the sums of [`rows`].
+    shift: u32,
     /// Raster index after the previous pixel's.
     next_index: u32,
 }
@@ -178,7 +185,20 @@ pub struct Packer {
 impl Packer {
     /// Where a pixel is and what it counts. Pixels come in raster order.
     #[inline(always)]
-    pub fn place(&mut self, (x, y): (u16, u16), (on, off): (u32, u32), writer: &mut BitWriter<'_>) {
+    pub fn place(&mut self, position: (u16, u16), counts: (u32, u32), writer: &mut BitWriter<'_>) {
+        let (code, bits) = self.place_code(position, counts, writer);
+        writer.put_clean(code, bits);
+    }
+
+    /// What [`Self::place`] puts and how many bits, 31 at the most; nothing where these do not hold
+    /// it and it has been put.
+    #[inline(always)]
+    pub fn place_code(
+        &mut self,
+        (x, y): (u16, u16),
+        (on, off): (u32, u32),
+        writer: &mut BitWriter<'_>,
+    ) -> (u32, u32) {
         let index = u32::from(y) * u32::from(self.packing.sensor.width) + u32::from(x);
         let gap = index.wrapping_sub(self.next_index);
         self.next_index = index + 1;
@@ -193,35 +213,57 @@ impl Packer {
             let on = on.wrapping_sub(1) << (more_bits & 31);
             let counts = counts.wrapping_add(on);
             let code = counts | (gap_code << (counts_bits & 31));
-            writer.put_some(code ^ (1 << (bits & 31)), bits);
+            (code ^ (1 << (bits & 31)), bits)
         } else {
-            self.place_long(gap, events, on, writer);
+            let gap_order = self.gap_order;
+            writer.aside(|writer| place_long(gap, (on, events), gap_order, writer));
+            (0, 0)
         }
-    }
-
-    /// [`Self::place`] where one word does not hold it.
-    #[cold]
-    #[inline(never)]
-    fn place_long(&self, gap: u32, events: u32, on: u32, writer: &mut BitWriter<'_>) {
-        writer.put_exp_golomb(events.wrapping_sub(1), 0);
-        writer.put(on, width_of(events));
-        writer.put_exp_golomb(gap, self.gap_order);
     }
 
     /// The levels of a pixel of `events`, none where `levels` has none.
     #[inline(always)]
     pub fn levels(&self, events: u32, levels: &impl Levels, writer: &mut BitWriter<'_>) {
         let most = self.packing.level_bits_max(events);
-        let mut bits = most;
-        if events > 1 {
-            // The bits that are not copies of the sign, of any of the levels.
-            let mut spread = 0;
-            levels.for_each(|level| spread |= (level ^ (level >> 31)) as u32);
-            // Never more than `most`: |c| < n, and saturated levels have 32 bits.
-            bits = (width_of(spread) + 1).min(most);
-            writer.put_unary(most - bits);
+        put_levels((events, most), levels, writer);
+    }
+
+    /// `place`, which is what [`Self::place_code`] gave, and then [`Self::levels`] of up to
+    /// [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events; `IS_ONE` where it is one.
+    #[inline(always)]
+    pub fn seven_levels<const IS_ONE: bool>(
+        &self,
+        place: (u32, u32),
+        events: u32,
+        bits_of_sums: [i32; 7],
+        writer: &mut BitWriter<'_>,
+    ) {
+        let levels = Seven {
+            bits: bits_of_sums,
+            shift: self.shift,
+        };
+        // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
+        let most = width_of(events.wrapping_sub(1)) + self.one_bits;
+        let (mut bits, mut code, mut code_bits) = (most, place.0, place.1);
+        if !IS_ONE {
+            bits = (width_of(levels.spread()) + 1).min(most);
+            code_bits += most - bits;
+            code |= 1 << (code_bits & 31);
+            code_bits += 1;
         }
-        levels.put(bits, writer);
+        if bits > 8 || code_bits > 32 {
+            return writer.aside(|writer| seven_wide(place, (events, most), &levels, writer));
+        }
+        let (mut three, four) = levels.side_by_side(bits);
+        let mut three_bits = 3 * bits;
+        if IS_ONE && code_bits + three_bits <= 32 {
+            three = code | (three << (code_bits & 31));
+            three_bits += code_bits;
+        } else {
+            writer.put_here(code, code_bits);
+        }
+        writer.put_here(three, three_bits);
+        writer.put_here(four, 4 * bits);
     }
 
     /// Which coefficients are sent, for the transforms that keep the largest.
@@ -290,6 +332,47 @@ impl Packer {
             self.levels(events, &levels, writer);
         }
     }
+}
+
+/// Puts the levels of a pixel of `events`, whose widest has up to `most` bits.
+#[inline(always)]
+fn put_levels((events, most): (u32, u32), levels: &impl Levels, writer: &mut BitWriter<'_>) {
+    let mut bits = most;
+    if events > 1 {
+        // The bits that are not copies of the sign, of any of the levels.
+        let mut spread = 0;
+        levels.for_each(|level| spread |= (level ^ (level >> 31)) as u32);
+        // Never more than `most`: |c| < n, and saturated levels have 32 bits.
+        bits = (width_of(spread) + 1).min(most);
+        writer.put_unary(most - bits);
+    }
+    levels.put(bits, writer);
+}
+
+/// [`Packer::seven_levels`] of any width.
+#[cold]
+#[inline(never)]
+fn seven_wide(
+    (code, code_bits): (u32, u32),
+    events_and_most: (u32, u32),
+    levels: &Seven,
+    writer: &mut BitWriter<'_>,
+) {
+    writer.put_clean(code, code_bits);
+    let run = Run {
+        sums: &levels.bits.map(rows::sum),
+        shift: levels.shift - rows::MORE_BITS,
+    };
+    put_levels(events_and_most, &run, writer);
+}
+
+/// [`Packer::place`] where one word does not hold it.
+#[cold]
+#[inline(never)]
+fn place_long(gap: u32, (on, events): (u32, u32), gap_order: u32, writer: &mut BitWriter<'_>) {
+    writer.put_exp_golomb(events.wrapping_sub(1), 0);
+    writer.put(on, width_of(events));
+    writer.put_exp_golomb(gap, gap_order);
 }
 
 /// Whether `kept` is 0..`r` of a grid.

@@ -1,7 +1,9 @@
 //! Coefficients to integer levels and back.
 
+use core::num::NonZeroU32;
+
 use crate::bits::BitWriter;
-use crate::fixed_point::Coefficient;
+use crate::fixed_point::{Coefficient, mul_add};
 use crate::prune::Kept;
 use crate::transform::Transform;
 use crate::transform::dwt::scale_of;
@@ -83,12 +85,12 @@ impl Quantiser {
         if self.step_log2 <= 0 {
             return difference;
         }
-        let divisor = self.haar_divisor(scale);
-        // The divisor is never 0; asking leaves no panic in the code.
-        let magnitude = match (difference.unsigned_abs() + divisor / 2).checked_div(divisor) {
-            Some(magnitude) => magnitude as i32,
-            None => 0,
+        // Never 0; the type spares the division its check.
+        let Some(divisor) = NonZeroU32::new(self.haar_divisor(scale)) else {
+            return difference;
         };
+        let half = divisor.get() / 2;
+        let magnitude = ((difference.unsigned_abs() + half) / divisor.get()) as i32;
         if difference < 0 {
             -magnitude
         } else {
@@ -145,15 +147,35 @@ pub trait Levels {
     }
 }
 
-/// `levels` side by side, `bits` of each, of which all N fit into 32.
+/// By width, the highest bit of four numbers side by side, of up to 8 bits each.
+const HIGHEST: [u32; 16] = {
+    let mut highest = [0; 16];
+    let mut bits = 1;
+    while bits <= 8 {
+        highest[bits] = (1 | (1 << bits) | (1 << (2 * bits)) | (1 << (3 * bits))) << (bits - 1);
+        bits += 1;
+    }
+    highest
+};
+
+/// `levels` side by side, `bits` of each, which they are in the range of.
 #[inline(always)]
 fn side_by_side<const N: usize>(levels: [i32; N], bits: u32) -> u32 {
+    if (3..=4).contains(&N) && bits <= 8 {
+        let all = levels.into_iter().rev();
+        let all = all
+            .reduce(|all, level| mul_add(all, 1 << (bits & 31), level))
+            .unwrap_or(0);
+        // A negative level has borrowed from its neighbour, which half of a range more gives back.
+        let highest = HIGHEST[bits as usize % 16] >> (((4 - N as u32) * bits) & 31);
+        return (all as u32).wrapping_add(highest) ^ highest;
+    }
     let mask = !(u32::MAX << (bits & 31));
     let mut all = 0;
     for level in levels.into_iter().rev() {
-        all = (all << (bits & 31)) | (level as u32 & mask);
+        all = (all << (bits & 31)) | (level & mask as i32);
     }
-    all
+    all as u32
 }
 
 /// Levels of neighbouring coefficients: the DCT's k = 1..r, or both parts of the DTFT's.
@@ -161,37 +183,67 @@ fn side_by_side<const N: usize>(levels: [i32; N], bits: u32) -> u32 {
 pub struct Run<'s, C> {
     /// Coefficients from k = 1 on.
     pub sums: &'s [C],
-    /// Quantiser.
-    pub quantiser: Quantiser,
+    /// [`Quantiser::shift`].
+    pub shift: u32,
 }
 
 impl<C: Coefficient> Levels for Run<'_, C> {
     #[inline(always)]
     fn for_each(&self, mut each: impl FnMut(i32)) {
         for sum in self.sums {
-            each(self.quantiser.uniform(*sum));
+            each(sum.level(self.shift));
         }
     }
 
     #[inline(always)]
     fn put(&self, bits: u32, writer: &mut BitWriter<'_>) {
-        let level = |sum: &C| self.quantiser.uniform(*sum);
+        let level = |sum: &C| sum.level(self.shift);
         let mut rest = self.sums;
         if bits <= 8 {
             while let Some((four, more)) = rest.split_first_chunk::<4>() {
-                writer.put_some(side_by_side(four.each_ref().map(level), bits), 4 * bits);
+                writer.put_clean(side_by_side(four.each_ref().map(level), bits), 4 * bits);
                 rest = more;
             }
         }
         if bits <= 10 {
             while let Some((three, more)) = rest.split_first_chunk::<3>() {
-                writer.put_some(side_by_side(three.each_ref().map(level), bits), 3 * bits);
+                writer.put_clean(side_by_side(three.each_ref().map(level), bits), 3 * bits);
                 rest = more;
             }
         }
         for sum in rest {
             writer.put(level(sum) as u32, bits);
         }
+    }
+}
+
+/// Levels of seven sums that are in registers.
+#[derive(Debug, Clone, Copy)]
+pub struct Seven {
+    /// Coefficients from k = 1 on, as [`crate::transform::rows`] gives them.
+    pub bits: [i32; 7],
+    /// What brings these to levels.
+    pub shift: u32,
+}
+
+impl Seven {
+    /// The bits that are not copies of the sign, of any of the levels.
+    #[inline(always)]
+    #[must_use]
+    pub fn spread(&self) -> u32 {
+        let spread = |all, sum: &i32| all | (sum ^ (sum >> 31));
+        self.bits.iter().fold(0, spread) as u32 >> (self.shift & 31)
+    }
+
+    /// The first three levels side by side and the other four, of up to 8 `bits` each.
+    #[inline(always)]
+    #[must_use]
+    pub fn side_by_side(&self, bits: u32) -> (u32, u32) {
+        let [a, b, c, d, e, f, g] = self.bits.map(|sum| sum >> (self.shift & 31));
+        (
+            side_by_side([a, b, c], bits),
+            side_by_side([d, e, f, g], bits),
+        )
     }
 }
 
@@ -233,7 +285,7 @@ impl<C: Coefficient> Levels for Pairs<'_, C> {
                 && let (Some(re), Some(im)) = (re.get(k), im.get(k))
             {
                 let pair = [re, im].map(|sum| self.quantiser.uniform(*sum));
-                writer.put_some(side_by_side(pair, bits), 2 * bits);
+                writer.put_clean(side_by_side(pair, bits), 2 * bits);
             }
         });
     }

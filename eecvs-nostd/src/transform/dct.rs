@@ -30,16 +30,13 @@ impl Basis for Dct {
         if grid <= rows::GRID {
             let cosines = rows::cosines(impulses.take(CHUNK_EVENTS), turn);
             for (sum, cosine) in sums.iter_mut().take(grid).skip(1).zip(cosines) {
-                *sum = cosine;
+                *sum = rows::sum(cosine);
             }
             return;
         }
-        oscillator::cosines(
-            &impulses,
-            events == 1,
-            turn,
-            &mut work.cos,
-            sums.get_mut(..grid).unwrap_or_default(),
-        );
+        let Some(sums) = sums.get_mut(..grid) else {
+            return;
+        };
+        oscillator::cosines(&impulses, events == 1, turn, &mut work.cos, sums);
     }
 }

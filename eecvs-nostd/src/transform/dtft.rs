@@ -32,8 +32,12 @@ impl Basis for Dtft {
             let half = scale.half(impulse.offset_us).to_bits();
             Phase::from_bits((half << 1).wrapping_neg())
         };
-        let (re, im) = sums.split_at_mut_checked(grid).unwrap_or_default();
-        let im = im.get_mut(..grid).unwrap_or_default();
+        let Some((re, im)) = sums
+            .get_mut(..2 * grid)
+            .and_then(|sums| sums.split_at_mut_checked(grid))
+        else {
+            return;
+        };
         oscillator::cosines_and_sines(
             &impulses,
             events == 1,

@@ -80,8 +80,11 @@ pub fn magnitude(difference: i32, k: usize) -> u32 {
     if scale.is_multiple_of(2) || whole == 0 {
         2 * whole
     } else {
-        let square = u64::from(whole) * u64::from(whole);
-        2 * (2 * square).isqrt() as u32 + 1
+        let square = |x: u64| x * x;
+        // sqrt 2 with 31 fractional bits, rounded down: the product is less than 1/4 too low.
+        let low = (u64::from(whole) * 3_037_000_499) >> 31;
+        let is_low = square(low + 1) <= 2 * square(u64::from(whole));
+        2 * (low as u32 + u32::from(is_low)) + 1
     }
 }
 

@@ -23,7 +23,7 @@ const ATOMS: usize = GRID - 1;
 const ROWS: usize = 1 << ROWS_LOG2;
 const ROWS_LOG2: u32 = 9;
 
-/// cos in units of [`ONE`] in the upper half, slope per row with 15 fractional bits in the lower.
+/// -cos in units of [`ONE`] in the upper half, slope per row with 15 fractional bits in the lower.
 type Line = u32;
 
 static LINES: [[Line; ATOMS]; ROWS] = lines();
@@ -31,6 +31,8 @@ static LINES: [[Line; ATOMS]; ROWS] = lines();
 /// Fractional bits of a sum: 64 atoms of a chunk stay below 2^31.
 const FRACTION_BITS: u32 = 25;
 const _: () = assert!(CHUNK_EVENTS << FRACTION_BITS <= 1 << 31);
+/// Fractional bits beyond those of [`Sum`].
+pub const MORE_BITS: u32 = FRACTION_BITS - 23;
 /// Bits of the distance from a row, whose weight is 1 for a whole row.
 const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
 /// Weight of the cosine. Not 2^10, whose multiples are up to 2^-15 away from the largest atom.
@@ -59,7 +61,8 @@ impl Weighted {
         let row = (from_edge >> (30 - ROWS_LOG2)) as usize % ROWS;
         let distance = (from_edge >> (30 - ROWS_LOG2 - DISTANCE_BITS)) % (1 << DISTANCE_BITS);
         let weights = ((ONE as u32) << 16) | distance;
-        let negative = if is_on { 0 } else { u32::MAX };
+        // The table's cosines are negative: it is ON that turns them.
+        let negative = u32::from(is_on).wrapping_neg();
         Self {
             lines: &LINES[row],
             even: negate_halves(weights, negative),
@@ -81,17 +84,17 @@ impl Weighted {
 }
 
 /// sum p cos(pi k u) for k = 1..8 over at most [`CHUNK_EVENTS`] impulses, of which `half` gives
-/// u / 2.
-#[inline(always)]
+/// u / 2, with 25 fractional bits: [`sum`] makes numbers of them. Apart, so that the loop has the registers for itself.
+#[inline(never)]
 pub fn cosines(
     impulses: impl Iterator<Item = Impulse>,
     half: impl Fn(Impulse) -> Phase,
-) -> [Sum; ATOMS] {
+) -> [i32; ATOMS] {
     let mut sums = [0; ATOMS];
     for impulse in impulses {
         sums = Weighted::new(half(impulse), impulse.is_on).add(sums);
     }
-    sums.map(sum_of)
+    sums
 }
 
 /// [`cosines`] of the first impulse alone.
@@ -99,16 +102,17 @@ pub fn cosines(
 pub fn cosines_of_one(
     mut impulses: impl Iterator<Item = Impulse>,
     half: impl Fn(Impulse) -> Phase,
-) -> [Sum; ATOMS] {
-    impulses.next().map_or([Sum::ZERO; ATOMS], |impulse| {
-        let weighted = Weighted::new(half(impulse), impulse.is_on);
-        weighted.add([0; ATOMS]).map(sum_of)
+) -> [i32; ATOMS] {
+    impulses.next().map_or([0; ATOMS], |impulse| {
+        Weighted::new(half(impulse), impulse.is_on).add([0; ATOMS])
     })
 }
 
+/// The bits of one of [`cosines`] as a number; rounds down.
 #[inline(always)]
-fn sum_of(bits: i32) -> Sum {
-    Sum::from_bits(bits >> (FRACTION_BITS - 23))
+#[must_use]
+pub const fn sum(bits: i32) -> Sum {
+    Sum::from_bits(bits >> MORE_BITS)
 }
 
 /// The table in constant evaluation: the same bits on every machine.
@@ -143,7 +147,7 @@ const fn line(row: usize, k: usize) -> Line {
     let slope = clamp(from + (slope << DISTANCE_BITS), ATOM_MAX) - from;
     // Towards 0 where it was cut.
     let slope = slope / (1 << DISTANCE_BITS);
-    ((cos as u32) << 16) | (slope as u32 & 0xffff)
+    ((-cos as u32) << 16) | (-slope as u32 & 0xffff)
 }
 
 const fn clamp(x: i32, most: i32) -> i32 {
@@ -183,7 +187,7 @@ mod tests {
         for line in LINES.as_flattened() {
             digest.update(&line.to_le_bytes());
         }
-        assert_eq!(digest.finalize(), 162_901_694, "the table's checksum");
+        assert_eq!(digest.finalize(), 2_042_627_424, "the table's checksum");
     }
 
     #[test]
