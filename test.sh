@@ -100,7 +100,7 @@ firmware() {
     cargo test -p host-harness --test mcu
     firmware/instructions.sh --check
     # The first events of every recording; without a number, all of them.
-    firmware/recordings.sh "${RECORDING_EVENTS:-20000}"
+    firmware/recordings.sh "${RECORDING_EVENTS:-6000}"
     # Its only good end is the report of a fault.
     status=0
     qemu netduinoplus2 overflow >/dev/null || status=$?
