@@ -93,6 +93,18 @@ impl Packet<'_> {
     }
 }
 
+fn write_body(fields: &impl Serialize, out: &mut [u8]) -> Result<usize, TooLong> {
+    postcard::to_slice(fields, out)
+        .map(|bytes| bytes.len())
+        .map_err(|_| TooLong)
+}
+
+/// `None` where bytes are left, too: another layout.
+fn parse_body<'b, T: Deserialize<'b>>(body: &'b [u8]) -> Option<T> {
+    let (fields, rest) = postcard::take_from_bytes(body).ok()?;
+    rest.is_empty().then_some(fields)
+}
+
 /// What the encoder is set to by a [`Kind::Setup`] packet; postcard writes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -154,16 +166,13 @@ impl Setup {
     /// # Errors
     /// [`TooLong`]: `out` is too short; 64 bytes are enough.
     pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
-        postcard::to_slice(self, out)
-            .map(|bytes| bytes.len())
-            .map_err(|_| TooLong)
+        write_body(self, out)
     }
 
     /// Reads a packet's body; `None` where it is none.
     #[must_use]
     pub fn parse(body: &[u8]) -> Option<Self> {
-        let (setup, rest) = postcard::take_from_bytes(body).ok()?;
-        rest.is_empty().then_some(setup)
+        parse_body(body)
     }
 
     /// The configuration, or `None` where a field is out of its range; M and K are left to the
@@ -236,16 +245,13 @@ impl Status {
     /// # Errors
     /// [`TooLong`]: `out` is too short; 96 bytes are enough.
     pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
-        postcard::to_slice(self, out)
-            .map(|bytes| bytes.len())
-            .map_err(|_| TooLong)
+        write_body(self, out)
     }
 
     /// Reads a packet's body; `None` where it is none.
     #[must_use]
     pub fn parse(body: &[u8]) -> Option<Self> {
-        let (status, rest) = postcard::take_from_bytes(body).ok()?;
-        rest.is_empty().then_some(status)
+        parse_body(body)
     }
 }
 
