@@ -30,7 +30,6 @@ fn accumulate(
 ) -> Vec<(f64, f64)> {
     let scale = PhaseScale::new(duration_us);
     let net = impulses.iter().map(|impulse| impulse.p as i32).sum::<i32>();
-    let events = impulses.len() as u32;
     let impulses = impulses.iter().map(|impulse| Impulse {
         offset_us: impulse.offset_us,
         is_on: impulse.p > 0.0,
@@ -38,9 +37,9 @@ fn accumulate(
     let mut sums = vec![Sum::ZERO; 2 * grid];
     let mut work = Oscillators::new();
     match transform {
-        Transform::Dct => Dct::accumulate(impulses, events, scale, grid, &mut work, &mut sums),
-        Transform::Dtft => Dtft::accumulate(impulses, events, scale, grid, &mut work, &mut sums),
-        Transform::Dwt => Dwt::accumulate(impulses, events, scale, grid, &mut work, &mut sums),
+        Transform::Dct => Dct::accumulate(impulses, scale, grid, &mut work, &mut sums),
+        Transform::Dtft => Dtft::accumulate(impulses, scale, grid, &mut work, &mut sums),
+        Transform::Dwt => Dwt::accumulate(impulses, scale, grid, &mut work, &mut sums),
     }
     // c_0 is known to the caller of `accumulate`.
     sums[0] = Sum::from_num(net);

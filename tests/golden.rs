@@ -6,12 +6,21 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use eecvs_nostd::{Event, OUTPUT_BYTES_MIN, Polarity, Sensor, Transform};
+use eecvs_nostd::{Coded, Event, Level, OUTPUT_BYTES_MIN, Polarity, Sensor, Transform};
 use serde::{Deserialize, Serialize};
 use strategies::{encode, parse, plain_config};
 
-/// (x, y, on, off, [(k, re, im)]), levels as on the link.
-type GoldenPixel = (u16, u16, u32, u32, Vec<(u16, i32, i32)>);
+/// (x, y, on, off, what tells the coefficients).
+type GoldenPixel = (u16, u16, u32, u32, GoldenCoded);
+
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+enum GoldenCoded {
+    /// A single event's.
+    Cell(u32),
+    /// [(k, re, im)], levels as on the link.
+    Levels(Vec<(u16, i32, i32)>),
+}
 
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 struct Golden {
@@ -99,12 +108,14 @@ fn pixels(bytes: &[u8]) -> Vec<GoldenPixel> {
         .descriptors()
         .map(|descriptor| {
             let d = descriptor.expect("the encoder's own payload");
-            let levels = d
-                .levels
-                .iter()
-                .map(|level| (level.k, level.re, level.im))
-                .collect();
-            (d.x, d.y, d.on, d.off, levels)
+            let coded = match d.coded {
+                Coded::Cell(cell) => GoldenCoded::Cell(cell),
+                Coded::Levels(levels) => {
+                    let level = |level: &Level| (level.k, level.re, level.im);
+                    GoldenCoded::Levels(levels.iter().map(level).collect())
+                }
+            };
+            (d.x, d.y, d.on, d.off, coded)
         })
         .collect()
 }

@@ -4,7 +4,7 @@
 use eecvs_nostd::bits::BitWriter;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{
-    Descriptor, FRAME_BYTES_MAX, Frame, FrameError, Header, Level, Mode, Quantiser, Regime, Sensor,
+    Coded, Descriptor, FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, Quantiser, Regime, Sensor,
     Transform, UnpackError,
 };
 use host_harness::decode::WindowReader;
@@ -42,18 +42,13 @@ fn header() -> Header {
 fn frame(header: &Header) -> Vec<u8> {
     let mut out = vec![0; 1000];
     let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..]);
-    let mut descriptor = Descriptor {
+    let descriptor = Descriptor {
         x: header.sensor.width - 1,
         y: header.sensor.height - 1,
         on: 1,
-        ..Descriptor::EMPTY
+        off: 0,
+        coded: Coded::Cell(0),
     };
-    if header.transform != Transform::Dwt {
-        for k in 0..header.packing().kept() as u16 {
-            let level = Level { k, ..Level::NONE };
-            descriptor.levels.push(level).expect("at most 64");
-        }
-    }
     header
         .packing()
         .pack(&descriptor, &mut 0, &mut writer)

@@ -3,10 +3,9 @@
 use std::collections::BTreeMap;
 
 use eecvs_nostd::bits::{BitReader, BitWriter};
-use eecvs_nostd::transform::dwt::single_levels;
 use eecvs_nostd::{
-    Descriptor, Event, FRAME_BYTES_MAX, Level, OUTPUT_BYTES_MIN, Packing, Polarity, Quantiser,
-    Sensor, Transform,
+    Coded, Descriptor, Event, FRAME_BYTES_MAX, Level, OUTPUT_BYTES_MIN, Packing, Polarity,
+    Quantiser, Sensor, Transform,
 };
 use proptest::prelude::*;
 use strategies::{encode, job, parse, plain_config, sensor, transform};
@@ -32,8 +31,8 @@ fn packing() -> impl Strategy<Value = Packing> {
         )
 }
 
-/// A descriptor that an encoder may write: the right number of coefficients, indices ascending,
-/// levels that n events can have, c_0 the one that the counts imply.
+/// A descriptor that an encoder may write: a cell, or the right number of coefficients, indices
+/// ascending, levels that n events can have, c_0 the one that the counts imply.
 fn descriptor(packing: Packing) -> impl Strategy<Value = Descriptor> {
     let kept = packing.kept();
     let grid = usize::from(packing.grid);
@@ -60,24 +59,18 @@ fn descriptor(packing: Packing) -> impl Strategy<Value = Descriptor> {
             let on = if on + off == 0 { 1 } else { on };
             let events = on + off;
             let net = on as i32 - off as i32;
-            let mut descriptor = Descriptor {
+            let descriptor = |coded| Descriptor {
                 x,
                 y,
                 on,
                 off,
-                ..Descriptor::EMPTY
+                coded,
             };
-            if packing.transform == Transform::Dwt && events == 1 {
-                let shape = (packing.grid.ilog2(), kept as u32);
-                let bin = values[0].0 as u32 % u32::from(packing.grid);
-                single_levels(bin, net, shape, packing.quantiser, |level| {
-                    descriptor.levels.push(level).expect("at most 64");
-                });
-                return descriptor;
+            if events == 1 {
+                let cells = 1 << packing.cells_log2();
+                return descriptor(Coded::Cell(values[0].0 as u32 % cells));
             }
-            if packing.transform == Transform::Dct
-                || (packing.transform == Transform::Dtft && events == 1)
-            {
+            if packing.transform == Transform::Dct {
                 ks = (0..kept as u16).collect();
             }
             let step_log2 = i32::from(packing.quantiser.step_log2());
@@ -90,6 +83,7 @@ fn descriptor(packing: Packing) -> impl Strategy<Value = Descriptor> {
                 let level = f64::from(value >> shift) / 2_f64.powi(31) * most;
                 level.floor().max(f64::from(i32::MIN)) as i32
             };
+            let mut levels = Vec::new();
             for (k, (re, im)) in ks.into_iter().zip(values) {
                 let (re, im) = match (k, packing.transform) {
                     (0, _) => (net, 0),
@@ -98,13 +92,10 @@ fn descriptor(packing: Packing) -> impl Strategy<Value = Descriptor> {
                     (_, Transform::Dwt) => (level(re) + i32::from(re >= 0), 0),
                 };
                 if packing.transform != Transform::Dwt || re != 0 {
-                    descriptor
-                        .levels
-                        .push(Level { k, re, im })
-                        .expect("at most 64");
+                    levels.push(Level { k, re, im });
                 }
             }
-            descriptor
+            descriptor(Coded::Levels(levels.into_iter().collect()))
         })
 }
 
@@ -119,7 +110,7 @@ proptest! {
         let index =
             u32::from(descriptor.y) * u32::from(packing.sensor.width) + u32::from(descriptor.x);
         let next_index = before % (index + 1);
-        let mut bytes = [0; eecvs_nostd::pack::PIXEL_BYTES_MAX];
+        let mut bytes = [0; eecvs_nostd::packing::PIXEL_BYTES_MAX];
         let mut writer = BitWriter::new(&mut bytes);
         let mut next = next_index;
         prop_assert!(packing.pack(&descriptor, &mut next, &mut writer).is_ok());
@@ -143,8 +134,10 @@ proptest! {
         let mut next = 0;
         while let Ok(descriptor) = packing.unpack(&mut next, 100_000, &mut reader) {
             prop_assert!(packing.sensor.contains(descriptor.x, descriptor.y));
-            prop_assert!(descriptor.levels.len() <= packing.kept());
-            prop_assert!(descriptor.levels.iter().all(|level| level.k < packing.grid));
+            let mut ks = Vec::new();
+            descriptor.dequantise(&packing, |k, _, _| ks.push(k));
+            prop_assert!(ks.len() <= packing.kept());
+            prop_assert!(ks.iter().all(|k| *k < packing.grid));
         }
     }
 }
@@ -219,16 +212,16 @@ fn pixels(frames: &[Vec<u8>]) -> Vec<(u64, u32, Descriptor)> {
 
 #[test]
 fn a_frame_never_exceeds_its_maximum() {
-    // 130,000 single events of 64 complex coefficients: some 20 MB.
+    // 130,000 pairs of events of 64 complex coefficients: some 20 MB.
     let sensor = Sensor {
         width: 1000,
         height: 130,
     };
-    let events: Vec<_> = (0..130_000_u32)
+    let events: Vec<_> = (0..260_000_u32)
         .map(|i| Event {
-            t_us: u64::from(i / 4),
+            t_us: u64::from(i / 8),
             x: (i % 1000) as u16,
-            y: (i / 1000) as u16,
+            y: (i / 1000 % 130) as u16,
             polarity: Polarity::On,
         })
         .collect();
@@ -237,5 +230,5 @@ fn a_frame_never_exceeds_its_maximum() {
     let frames = encode(config, &events, events.len(), 2 * FRAME_BYTES_MAX);
     assert_eq!(frames.len(), 2);
     assert!(frames.iter().all(|frame| frame.len() <= FRAME_BYTES_MAX));
-    assert_eq!(pixels(&frames).len(), events.len());
+    assert_eq!(2 * pixels(&frames).len(), events.len());
 }

@@ -5,19 +5,18 @@ use core::ops::Range;
 use crate::bits::BitWriter;
 use crate::density::Density;
 use crate::event::Event;
-use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum, mul_high};
+use crate::fixed_point::{Sum, WideSum};
 use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, seal};
-use crate::group::{Group, Impulses, Pixel};
-use crate::pack::{PIXEL_BYTES_MAX, Packer};
+use crate::group::Group;
+use crate::packing::PIXEL_BYTES_MAX;
 use crate::phase::PhaseScale;
-use crate::prune::{Kept, largest, low_frequency};
-use crate::quantise::{Haar, Pairs, Quantiser, Run};
+use crate::pixel_encoder::{PixelEncoder, is_few};
+use crate::prune::Kept;
+use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
 use crate::trace::{Stage, Trace};
-use crate::transform::{
-    Basis, Dct, Dtft, Dwt, GRID_MAX, Impulse, M_MAX, Oscillators, Rule, Transform, dwt, rows,
-};
-use crate::window::{Closed, Push, Slot, Window, WindowBuffers, WindowConfig};
+use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, M_MAX, Oscillators, Transform};
+use crate::window::{Closed, Push, Window, WindowBuffers, WindowConfig};
 
 /// Smallest output that always takes a frame with at least one pixel.
 pub const OUTPUT_BYTES_MIN: usize = HEADER_BYTES_MAX + PIXEL_BYTES_MAX + CRC_BYTES + 8;
@@ -248,7 +247,7 @@ impl<'b> WindowEncoder<'b> {
         let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..end]);
         let scale = task.scale;
         header.last = match header.transform {
-            Transform::Dct if is_few(header) => {
+            Transform::Dct if is_few(&header.packing()) => {
                 self.encode_pixels::<Dct, true, _>(window, scale, header, &mut writer, trace)
             }
             Transform::Dct => {
@@ -323,23 +322,15 @@ impl<'b> WindowEncoder<'b> {
         trace: &mut T,
     ) -> bool {
         let packing = header.packing();
-        let mut stages = Stages {
-            grid: usize::from(packing.grid),
-            r: packing.kept(),
-            quantiser: packing.quantiser,
-            scale,
-            scratch: &mut self.scratch,
-            kept: &mut self.kept,
-            packer: packing.packer(),
-        };
+        let mut encoder = PixelEncoder::new(&packing, scale, &mut self.scratch, &mut self.kept);
         let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
         let mut is_last = true;
         while let Some(pixel) = self.group.next(window) {
             let position = writer.position();
             let saturates = if FEW {
-                stages.encode_few::<B, T>(pixel, window.slots(), writer, trace)
+                encoder.encode_few::<B, T>(pixel, window.slots(), writer, trace)
             } else {
-                stages.encode::<B, T>(pixel, window.slots(), writer, trace)
+                encoder.encode::<B, T>(pixel, window.slots(), writer, trace)
             };
             if writer.is_full() {
                 writer.rewind(position);
@@ -355,345 +346,6 @@ impl<'b> WindowEncoder<'b> {
         (header.events, header.pixels, header.saturated) = (events, pixels, saturated);
         is_last
     }
-}
-
-const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
-
-/// Whether the DCT's coefficients are as many as stay in registers, all of them are kept, and the
-/// step is 1 at the most.
-fn is_few(header: &Header) -> bool {
-    usize::from(header.m) == rows::GRID
-        && usize::from(header.grid) == rows::GRID
-        && header.quantiser.step_log2() <= 0
-}
-
-/// What turns one pixel's events into bits.
-struct Stages<'e, 'b> {
-    grid: usize,
-    r: usize,
-    quantiser: Quantiser,
-    scale: PhaseScale,
-    scratch: &'e mut Scratch<'b>,
-    kept: &'e mut Kept,
-    packer: Packer,
-}
-
-impl Stages<'_, '_> {
-    /// Accumulate, prune, quantise and pack one pixel; returns how many levels saturated.
-    #[inline(always)]
-    fn encode<B: Basis, T: Trace>(
-        &mut self,
-        pixel: Pixel,
-        slots: &[Slot],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) -> u32 {
-        trace.enter(Stage::Pack);
-        self.packer
-            .place((pixel.x, pixel.y), (pixel.on, pixel.off), writer);
-        trace.enter(Stage::Accumulate);
-        let events = pixel.on + pixel.off;
-        let mut impulses = Impulses::new(pixel, slots);
-        if B::TRANSFORM as u8 == Transform::Dwt as u8 && events == 1 {
-            let offset_us = impulses.next().map_or(0, |impulse| impulse.offset_us);
-            let bin = self.scale.bin(offset_us, self.grid.trailing_zeros());
-            trace.enter(Stage::Pack);
-            self.packer.bin(bin, writer);
-            return 0;
-        }
-        if events as usize > CHUNK_EVENTS {
-            return self.encode_crowded::<B, T>(pixel, impulses, writer, trace);
-        }
-        let sums = &mut *self.scratch.sums;
-        B::accumulate(
-            impulses.clone(),
-            events,
-            self.scale,
-            self.grid,
-            self.scratch.oscillators,
-            sums,
-        );
-        if B::RULE as u8 == Rule::Magnitude as u8 {
-            set_zeroth::<B, _>(pixel, self.grid, sums);
-        }
-        let mut rest = Rest {
-            grid: self.grid,
-            r: self.r,
-            quantiser: self.quantiser,
-            magnitudes: self.scratch.magnitudes,
-            kept: self.kept,
-            packer: &self.packer,
-        };
-        rest.encode::<B, Sum, T>(events, sums, writer, trace)
-    }
-
-    /// The same for the DCT where [`is_few`] holds: the few coefficients have a loop and a packing
-    /// of their own.
-    #[inline(always)]
-    fn encode_few<B: Basis, T: Trace>(
-        &mut self,
-        pixel: Pixel,
-        slots: &[Slot],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) -> u32 {
-        match pixel.on + pixel.off {
-            1 => self.encode_one(&pixel, slots, writer, trace),
-            2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
-            _ => return self.encode::<B, T>(pixel, slots, writer, trace),
-        }
-        0
-    }
-
-    /// A pixel of one event.
-    #[inline(always)]
-    fn encode_one<T: Trace>(
-        &mut self,
-        pixel: &Pixel,
-        slots: &[Slot],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) {
-        trace.enter(Stage::Pack);
-        writer.aside(|writer| {
-            let counts = (pixel.on, 1 - pixel.on);
-            let place = self.packer.place_code((pixel.x, pixel.y), counts, writer);
-            trace.enter(Stage::Accumulate);
-            let half = |impulse: Impulse| self.scale.half(impulse.offset_us);
-            let sums = rows::cosines_of_one(Impulses::new(*pixel, slots), half);
-            trace.enter(Stage::Pack);
-            self.packer.seven_levels::<true>(place, 1, sums, writer);
-        });
-    }
-
-    /// A pixel of a chunk's events.
-    #[inline(always)]
-    fn encode_several<T: Trace>(
-        &mut self,
-        pixel: &Pixel,
-        slots: &[Slot],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) {
-        trace.enter(Stage::Accumulate);
-        let half = |impulse: Impulse| self.scale.half(impulse.offset_us);
-        let sums = rows::cosines(Impulses::new(*pixel, slots), half);
-        trace.enter(Stage::Pack);
-        writer.aside(|writer| {
-            let counts = (pixel.on, pixel.off);
-            let place = self.packer.place_code((pixel.x, pixel.y), counts, writer);
-            self.packer
-                .seven_levels::<false>(place, pixel.on + pixel.off, sums, writer);
-        });
-    }
-
-    /// The same for a pixel of several chunks.
-    #[cold]
-    #[inline(never)]
-    fn encode_crowded<B: Basis, T: Trace>(
-        &mut self,
-        pixel: Pixel,
-        mut impulses: Impulses<'_>,
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) -> u32 {
-        let Scratch {
-            oscillators,
-            sums,
-            totals,
-            magnitudes,
-        } = &mut *self.scratch;
-        let values = B::values(self.grid);
-        for total in totals.iter_mut().take(values) {
-            *total = WideSum::ZERO;
-        }
-        let events = pixel.on + pixel.off;
-        for _ in 0..events.div_ceil(CHUNK_EVENTS as u32) {
-            B::accumulate(
-                impulses.clone(),
-                events,
-                self.scale,
-                self.grid,
-                oscillators,
-                sums,
-            );
-            for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
-                // Fewer than 2^24 events of at most 1 each: far from the 2^40 that a total holds.
-                *total = total.wrapping_add(sum.wide());
-            }
-            let _ = impulses.nth(CHUNK_EVENTS - 1);
-        }
-        set_zeroth::<B, _>(pixel, self.grid, totals);
-        let mut rest = Rest {
-            grid: self.grid,
-            r: self.r,
-            quantiser: self.quantiser,
-            magnitudes,
-            kept: self.kept,
-            packer: &self.packer,
-        };
-        rest.encode::<B, WideSum, T>(pixel.on + pixel.off, totals, writer, trace)
-    }
-}
-
-/// c_0 = on - off.
-#[inline(always)]
-fn set_zeroth<B: Basis, C: Coefficient>(pixel: Pixel, grid: usize, sums: &mut [C]) {
-    if let Some(re) = sums.first_mut() {
-        *re = C::from_integer(pixel.on as i32 - pixel.off as i32);
-    }
-    if B::TRANSFORM.is_complex()
-        && let Some(im) = sums.get_mut(grid)
-    {
-        *im = C::from_integer(0);
-    }
-}
-
-/// The stages after accumulation, for coefficients of either width.
-struct Rest<'e> {
-    grid: usize,
-    r: usize,
-    quantiser: Quantiser,
-    magnitudes: &'e mut [u32],
-    kept: &'e mut Kept,
-    packer: &'e Packer,
-}
-
-impl Rest<'_> {
-    #[inline(always)]
-    fn encode<B: Basis, C: Coefficient, T: Trace>(
-        &mut self,
-        events: u32,
-        sums: &[C],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) -> u32 {
-        trace.enter(Stage::Prune);
-        let (grid, quantiser) = (self.grid, self.quantiser);
-        match B::TRANSFORM {
-            Transform::Dct => {
-                trace.enter(Stage::Pack);
-                let sums = sums.get(1..self.r).unwrap_or(&[]);
-                let shift = quantiser.shift();
-                let levels = Run { sums, shift };
-                if !sums.is_empty() {
-                    self.packer.levels(events, &levels, writer);
-                }
-                cut::<C>(sums.iter(), quantiser)
-            }
-            Transform::Dtft => {
-                self.kept.clear(grid);
-                // All coefficients of a single event have the magnitude 1: all tie.
-                if self.r == grid || events == 1 {
-                    low_frequency(self.r, self.kept);
-                } else {
-                    self.prune_complex(events, sums);
-                }
-                trace.enter(Stage::Pack);
-                let kept = &*self.kept;
-                self.packer.set(events, kept, writer);
-                let levels = Pairs {
-                    sums,
-                    grid,
-                    kept,
-                    quantiser,
-                };
-                if self.r > 1 || !kept.contains(0) {
-                    self.packer.levels(events, &levels, writer);
-                }
-                let is_sent = |k: usize| {
-                    let k = if k < grid { k } else { k - grid };
-                    k != 0 && kept.contains(k)
-                };
-                let sums = sums.iter().enumerate().take(2 * grid);
-                cut::<C>(
-                    sums.filter(|(k, _)| is_sent(*k)).map(|(_, sum)| sum),
-                    quantiser,
-                )
-            }
-            Transform::Dwt => {
-                self.prune_haar(events, sums);
-                trace.enter(Stage::Pack);
-                let kept = &*self.kept;
-                self.packer.set(events, kept, writer);
-                let levels = Haar {
-                    sums,
-                    grid,
-                    kept,
-                    quantiser,
-                };
-                if kept.count(grid) > u32::from(kept.contains(0)) {
-                    self.packer.levels(events, &levels, writer);
-                }
-                0
-            }
-        }
-    }
-
-    /// The r largest by re^2 + im^2, its rounding moves |c| by less than n 2^-14.
-    fn prune_complex<C: Coefficient>(&mut self, events: u32, sums: &[C]) {
-        let grid = self.grid;
-        let width = u32::BITS - events.leading_zeros();
-        // Always there: `Config::check` asks for room.
-        let Some(magnitudes) = self.magnitudes.get_mut(..grid) else {
-            return;
-        };
-        let (re, im) = sums.split_at_checked(grid).unwrap_or_default();
-        for ((magnitude, re), im) in magnitudes.iter_mut().zip(re).zip(im) {
-            *magnitude = square(re.relative(width)) + square(im.relative(width));
-        }
-        largest(magnitudes, self.r, self.kept);
-    }
-
-    /// Those that are not 0, the r largest of them where they are more; out of these go the ones
-    /// whose level is 0.
-    fn prune_haar<C: Coefficient>(&mut self, events: u32, sums: &[C]) {
-        let grid = self.grid;
-        self.kept.clear(grid);
-        let mut nonzero = 0;
-        for (k, sum) in sums.iter().enumerate().take(grid) {
-            if sum.integer() != 0 {
-                self.kept.insert(k);
-                nonzero += 1;
-            }
-        }
-        if nonzero > self.r {
-            let Some(magnitudes) = self.magnitudes.get_mut(..grid) else {
-                return;
-            };
-            for (k, (magnitude, sum)) in magnitudes.iter_mut().zip(sums).enumerate() {
-                *magnitude = if events < 256 {
-                    dwt::small_magnitude(sum.integer(), k)
-                } else {
-                    dwt::magnitude(sum.integer(), k)
-                };
-            }
-            self.kept.clear(grid);
-            largest(magnitudes, self.r, self.kept);
-        }
-        if self.quantiser.step_log2() > 0 {
-            for (k, sum) in sums.iter().enumerate().take(grid).skip(1) {
-                if self.quantiser.haar(sum.integer(), dwt::scale_of(k)) == 0 {
-                    self.kept.remove(k);
-                }
-            }
-        }
-    }
-}
-
-/// x^2 / 2^32
-#[inline(always)]
-fn square(x: i32) -> u32 {
-    mul_high(x, x) as u32
-}
-
-/// Levels that saturate; none of a single chunk's.
-#[inline(always)]
-fn cut<'s, C: Coefficient + 's>(sums: impl Iterator<Item = &'s C>, quantiser: Quantiser) -> u32 {
-    if !C::CAN_SATURATE {
-        return 0;
-    }
-    sums.filter(|sum| sum.is_cut(quantiser.shift())).count() as u32
 }
 
 /// A window and its encoder: pushes events, returns frames.

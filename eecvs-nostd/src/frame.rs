@@ -9,10 +9,11 @@ use crate::bits::BitReader;
 use crate::checksum::{CRC_16, crc_32};
 use crate::descriptor::Descriptor;
 use crate::event::Sensor;
-use crate::pack::{Packing, UnpackError};
+use crate::packing::Packing;
 use crate::quantise::Quantiser;
 use crate::regime::Regime;
 use crate::transform::{GRID_MAX, M_MAX, Transform};
+use crate::unpack::UnpackError;
 use crate::window::EVENTS_MAX;
 
 /// First two bytes of a frame.

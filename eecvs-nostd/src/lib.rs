@@ -29,7 +29,9 @@ pub mod ingest;
 pub mod link;
 pub mod link_source;
 pub mod pack;
+pub mod packing;
 pub mod phase;
+mod pixel_encoder;
 pub mod prune;
 pub mod quantise;
 pub mod regime;
@@ -37,22 +39,24 @@ pub mod sensor_source;
 pub mod storage;
 pub mod trace;
 pub mod transform;
+pub mod unpack;
 pub mod window;
 
 pub use density::Density;
-pub use descriptor::Descriptor;
+pub use descriptor::{Coded, Descriptor};
 pub use encoder::{
     Config, ConfigError, Encoded, Encoder, OUTPUT_BYTES_MIN, Scratch, SetupError, WindowEncoder,
 };
 pub use event::{Event, Polarity, Sensor};
 pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom};
 pub use link::{Order, Scan, Sequence, scan};
-pub use pack::{Packing, UnpackError};
+pub use packing::{Packing, Shape};
 pub use quantise::{Level, Quantiser};
 pub use regime::{Regime, Thresholds};
 pub use storage::Storage;
 pub use trace::{Stage, Trace};
 pub use transform::Transform;
+pub use unpack::UnpackError;
 pub use window::{
     Closed, Counts, Head, Push, Slot, Taken, Window, WindowBuffers, WindowConfig, bitmap_words,
     segments,

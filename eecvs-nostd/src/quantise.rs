@@ -4,6 +4,7 @@ use core::num::NonZeroU32;
 
 use crate::bits::BitWriter;
 use crate::fixed_point::{Coefficient, mul_add};
+use crate::packing::Shape;
 use crate::prune::Kept;
 use crate::transform::Transform;
 use crate::transform::dwt::scale_of;
@@ -137,6 +138,14 @@ impl Quantiser {
 
 /// The levels of a pixel in the order of the link, quantised as they are asked for.
 pub trait Levels {
+    /// Whether there is none but that of k = 0.
+    fn is_empty(&self) -> bool;
+
+    /// How many were cut to 32 bits.
+    fn saturated(&self) -> u32 {
+        0
+    }
+
     /// Calls `each` with every level but that of k = 0.
     fn for_each(&self, each: impl FnMut(i32));
 
@@ -188,6 +197,20 @@ pub struct Run<'s, C> {
 }
 
 impl<C: Coefficient> Levels for Run<'_, C> {
+    #[inline(always)]
+    fn is_empty(&self) -> bool {
+        self.sums.is_empty()
+    }
+
+    #[inline(always)]
+    fn saturated(&self) -> u32 {
+        if !C::CAN_SATURATE {
+            return 0;
+        }
+        let cut = self.sums.iter().filter(|sum| sum.is_cut(self.shift));
+        cut.count() as u32
+    }
+
     #[inline(always)]
     fn for_each(&self, mut each: impl FnMut(i32)) {
         for sum in self.sums {
@@ -252,25 +275,50 @@ impl Seven {
 pub struct Pairs<'s, C> {
     /// K real parts, then K imaginary ones.
     pub sums: &'s [C],
-    /// K
-    pub grid: usize,
+    /// K and the quantiser.
+    pub shape: Shape,
     /// Which are sent.
     pub kept: &'s Kept,
-    /// Quantiser.
-    pub quantiser: Quantiser,
+}
+
+impl<C: Coefficient> Pairs<'_, C> {
+    /// Calls `each` with re and im of every coefficient that is sent but k = 0.
+    #[inline(always)]
+    fn for_each_pair(&self, mut each: impl FnMut([C; 2])) {
+        let (re, im) = self.sums.split_at(self.shape.grid.min(self.sums.len()));
+        self.kept.for_each(self.shape.grid, |k| {
+            if k > 0
+                && let (Some(re), Some(im)) = (re.get(k), im.get(k))
+            {
+                each([*re, *im]);
+            }
+        });
+    }
 }
 
 impl<C: Coefficient> Levels for Pairs<'_, C> {
     #[inline(always)]
+    fn is_empty(&self) -> bool {
+        self.shape.r <= 1 && self.kept.contains(0)
+    }
+
+    #[inline(always)]
+    fn saturated(&self) -> u32 {
+        let mut cut = 0;
+        if C::CAN_SATURATE {
+            let shift = self.shape.quantiser.shift();
+            self.for_each_pair(|[re, im]| {
+                cut += u32::from(re.is_cut(shift)) + u32::from(im.is_cut(shift));
+            });
+        }
+        cut
+    }
+
+    #[inline(always)]
     fn for_each(&self, mut each: impl FnMut(i32)) {
-        let (re, im) = self.sums.split_at(self.grid.min(self.sums.len()));
-        self.kept.for_each(self.grid, |k| {
-            if k > 0
-                && let (Some(re), Some(im)) = (re.get(k), im.get(k))
-            {
-                each(self.quantiser.uniform(*re));
-                each(self.quantiser.uniform(*im));
-            }
+        self.for_each_pair(|[re, im]| {
+            each(self.shape.quantiser.uniform(re));
+            each(self.shape.quantiser.uniform(im));
         });
     }
 
@@ -279,14 +327,9 @@ impl<C: Coefficient> Levels for Pairs<'_, C> {
         if bits > 16 {
             return self.for_each(|level| writer.put(level as u32, bits));
         }
-        let (re, im) = self.sums.split_at(self.grid.min(self.sums.len()));
-        self.kept.for_each(self.grid, |k| {
-            if k > 0
-                && let (Some(re), Some(im)) = (re.get(k), im.get(k))
-            {
-                let pair = [re, im].map(|sum| self.quantiser.uniform(*sum));
-                writer.put_clean(side_by_side(pair, bits), 2 * bits);
-            }
+        self.for_each_pair(|pair| {
+            let pair = pair.map(|sum| self.shape.quantiser.uniform(sum));
+            writer.put_clean(side_by_side(pair, bits), 2 * bits);
         });
     }
 }
@@ -296,22 +339,27 @@ impl<C: Coefficient> Levels for Pairs<'_, C> {
 pub struct Haar<'s, C> {
     /// D_k from k = 0 on.
     pub sums: &'s [C],
-    /// K
-    pub grid: usize,
+    /// K and the quantiser.
+    pub shape: Shape,
     /// Which are sent.
     pub kept: &'s Kept,
-    /// Quantiser.
-    pub quantiser: Quantiser,
 }
 
 impl<C: Coefficient> Levels for Haar<'_, C> {
     #[inline(always)]
+    fn is_empty(&self) -> bool {
+        let mut words = self.kept.words(self.shape.grid).iter();
+        let first = words.next().copied().unwrap_or(0);
+        first <= 1 && words.all(|word| *word == 0)
+    }
+
+    #[inline(always)]
     fn for_each(&self, mut each: impl FnMut(i32)) {
-        self.kept.for_each(self.grid, |k| {
+        self.kept.for_each(self.shape.grid, |k| {
             if k > 0
                 && let Some(sum) = self.sums.get(k)
             {
-                let level = self.quantiser.haar(sum.integer(), scale_of(k));
+                let level = self.shape.quantiser.haar(sum.integer(), scale_of(k));
                 each(level - i32::from(level > 0));
             }
         });

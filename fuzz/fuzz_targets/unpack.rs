@@ -3,7 +3,7 @@
 #![no_main]
 
 use eecvs_nostd::bits::{BitReader, BitWriter};
-use eecvs_nostd::pack::PIXEL_BYTES_MAX;
+use eecvs_nostd::packing::PIXEL_BYTES_MAX;
 use eecvs_nostd::{Packing, Quantiser, Sensor, Transform};
 use libfuzzer_sys::fuzz_target;
 
@@ -43,7 +43,12 @@ fuzz_target!(|data: &[u8]| {
     while let Ok(descriptor) = packing.unpack(&mut next, events_left, &mut reader) {
         events_left -= descriptor.events();
         assert!(packing.sensor.contains(descriptor.x, descriptor.y));
-        assert!(descriptor.levels.len() <= packing.kept());
+        let mut coefficients = 0;
+        descriptor.dequantise(&packing, |k, _, _| {
+            assert!(k < packing.grid);
+            coefficients += 1;
+        });
+        assert!(coefficients <= packing.kept());
         let mut bytes = [0; PIXEL_BYTES_MAX];
         let mut writer = BitWriter::new(&mut bytes);
         let mut index = before;

@@ -1,8 +1,15 @@
 //! DCT: c_k = sum_i p_i cos(pi k u_i), the low frequencies kept.
 
-use super::{Basis, Impulse, Oscillators, Rule, Transform, oscillator, rows};
-use crate::fixed_point::{CHUNK_EVENTS, Sum};
+use core::f64::consts::PI;
+
+use super::{
+    Basis, Impulse, Oscillators, Rule, Transform, cell_of, cells_log2_of, oscillator, rows,
+};
+use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
+use crate::packing::Shape;
 use crate::phase::PhaseScale;
+use crate::prune::{Kept, low_frequency};
+use crate::quantise::Run;
 
 /// The cosine transform (eq. 6 with phi_k(u) = cos(pi k u)), for dense windows.
 ///
@@ -15,11 +22,11 @@ pub struct Dct;
 impl Basis for Dct {
     const TRANSFORM: Transform = Transform::Dct;
     const RULE: Rule = Rule::LowFrequency;
+    type Levels<'s, C: Coefficient + 's> = Run<'s, C>;
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
-        events: u32,
         scale: PhaseScale,
         grid: usize,
         work: &mut Oscillators,
@@ -37,6 +44,34 @@ impl Basis for Dct {
         let Some(sums) = sums.get_mut(..grid) else {
             return;
         };
-        oscillator::cosines(&impulses, events == 1, turn, &mut work.cos, sums);
+        oscillator::cosines(&impulses, turn, &mut work.cos, sums);
+    }
+
+    #[inline(always)]
+    fn prune<C: Coefficient>(_: &[C], _: u32, shape: Shape, _: &mut [u32], kept: &mut Kept) {
+        low_frequency(shape.r, kept);
+    }
+
+    #[inline(always)]
+    fn levels<'s, C: Coefficient>(sums: &'s [C], shape: Shape, _: &'s Kept) -> Run<'s, C> {
+        Run {
+            sums: sums.get(1..shape.r).unwrap_or(&[]),
+            shift: shape.quantiser.shift(),
+        }
+    }
+
+    fn cells_log2(shape: Shape) -> u32 {
+        cells_log2_of(shape.r.saturating_sub(1), shape.quantiser)
+    }
+
+    #[inline(always)]
+    fn cell(scale: PhaseScale, offset_us: u32, cells_log2: u32) -> u32 {
+        cell_of(scale, offset_us, cells_log2)
+    }
+
+    fn single(u: f64, sign: f64, shape: Shape, mut each: impl FnMut(u16, f64, f64)) {
+        for k in 0..shape.r as u16 {
+            each(k, sign * libm::cos(PI * f64::from(k) * u), 0.0);
+        }
     }
 }

@@ -1,8 +1,13 @@
 //! DTFT: c_k = sum_i p_i exp(-i 2 pi k u_i), the largest kept.
 
-use super::{Basis, Impulse, Oscillators, Rule, Transform, oscillator};
-use crate::fixed_point::{Phase, Sum};
+use core::f64::consts::TAU;
+
+use super::{Basis, Impulse, Oscillators, Rule, Transform, cell_of, cells_log2_of, oscillator};
+use crate::fixed_point::{Coefficient, Phase, Sum, mul_high};
+use crate::packing::Shape;
 use crate::phase::PhaseScale;
+use crate::prune::{Kept, largest, low_frequency};
+use crate::quantise::Pairs;
 
 /// The Fourier transform of the impulse train (eq. 6 with phi_k(u) = exp(-i 2 pi k u)), for
 /// moderate windows.
@@ -17,11 +22,11 @@ pub struct Dtft;
 impl Basis for Dtft {
     const TRANSFORM: Transform = Transform::Dtft;
     const RULE: Rule = Rule::Magnitude;
+    type Levels<'s, C: Coefficient + 's> = Pairs<'s, C>;
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
-        events: u32,
         scale: PhaseScale,
         grid: usize,
         work: &mut Oscillators,
@@ -38,12 +43,59 @@ impl Basis for Dtft {
         else {
             return;
         };
-        oscillator::cosines_and_sines(
-            &impulses,
-            events == 1,
-            turn,
-            (&mut work.cos, &mut work.sin),
-            (re, im),
-        );
+        oscillator::cosines_and_sines(&impulses, turn, (&mut work.cos, &mut work.sin), (re, im));
     }
+
+    /// The r largest by re^2 + im^2, whose rounding moves |c| by less than n 2^-14.
+    #[inline(always)]
+    fn prune<C: Coefficient>(
+        sums: &[C],
+        events: u32,
+        shape: Shape,
+        magnitudes: &mut [u32],
+        kept: &mut Kept,
+    ) {
+        let Shape { grid, r, .. } = shape;
+        if r == grid {
+            return low_frequency(r, kept);
+        }
+        let width = u32::BITS - events.leading_zeros();
+        // Always there: `Config::check` asks for room.
+        let Some(magnitudes) = magnitudes.get_mut(..grid) else {
+            return;
+        };
+        let (re, im) = sums.split_at_checked(grid).unwrap_or_default();
+        for ((magnitude, re), im) in magnitudes.iter_mut().zip(re).zip(im) {
+            *magnitude = square(re.relative(width)) + square(im.relative(width));
+        }
+        largest(magnitudes, r, kept);
+    }
+
+    #[inline(always)]
+    fn levels<'s, C: Coefficient>(sums: &'s [C], shape: Shape, kept: &'s Kept) -> Pairs<'s, C> {
+        Pairs { sums, shape, kept }
+    }
+
+    /// All coefficients of a single event have the magnitude 1 and tie: k = 0..r are kept.
+    fn cells_log2(shape: Shape) -> u32 {
+        cells_log2_of(2 * shape.r.saturating_sub(1), shape.quantiser)
+    }
+
+    #[inline(always)]
+    fn cell(scale: PhaseScale, offset_us: u32, cells_log2: u32) -> u32 {
+        cell_of(scale, offset_us, cells_log2)
+    }
+
+    fn single(u: f64, sign: f64, shape: Shape, mut each: impl FnMut(u16, f64, f64)) {
+        for k in 0..shape.r as u16 {
+            let (sin, cos) = libm::sincos(TAU * f64::from(k) * u);
+            each(k, sign * cos, -sign * sin);
+        }
+    }
+}
+
+/// x^2 / 2^32
+#[inline(always)]
+fn square(x: i32) -> u32 {
+    mul_high(x, x) as u32
 }

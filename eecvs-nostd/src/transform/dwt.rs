@@ -3,9 +3,11 @@
 use core::cell::Cell;
 
 use super::{Basis, Impulse, Oscillators, Rule, Transform};
-use crate::fixed_point::{CHUNK_EVENTS, Sum};
+use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
+use crate::packing::Shape;
 use crate::phase::PhaseScale;
-use crate::quantise::{Level, Quantiser};
+use crate::prune::{Kept, largest};
+use crate::quantise::Haar;
 
 /// The Haar wavelet transform (eq. 6), for sparse windows; h is +1 on [0, 1/2), -1 on [1/2, 1).
 ///
@@ -26,11 +28,11 @@ pub const fn scale_of(k: usize) -> u32 {
 impl Basis for Dwt {
     const TRANSFORM: Transform = Transform::Dwt;
     const RULE: Rule = Rule::Magnitude;
+    type Levels<'s, C: Coefficient + 's> = Haar<'s, C>;
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
-        _: u32,
         scale: PhaseScale,
         grid: usize,
         _: &mut Oscillators,
@@ -67,6 +69,97 @@ impl Basis for Dwt {
             half /= 2;
         }
     }
+
+    /// Those that are not 0, the r largest of them where they are more; out of these go the ones
+    /// whose level is 0.
+    #[inline(always)]
+    fn prune<C: Coefficient>(
+        sums: &[C],
+        events: u32,
+        shape: Shape,
+        magnitudes: &mut [u32],
+        kept: &mut Kept,
+    ) {
+        let Shape { grid, r, quantiser } = shape;
+        let mut nonzero = 0;
+        for (k, sum) in sums.iter().enumerate().take(grid) {
+            if sum.integer() != 0 {
+                kept.insert(k);
+                nonzero += 1;
+            }
+        }
+        if nonzero > r {
+            let Some(magnitudes) = magnitudes.get_mut(..grid) else {
+                return;
+            };
+            for (k, (number, sum)) in magnitudes.iter_mut().zip(sums).enumerate() {
+                *number = if events < 256 {
+                    small_magnitude(sum.integer(), k)
+                } else {
+                    magnitude(sum.integer(), k)
+                };
+            }
+            kept.clear(grid);
+            largest(magnitudes, r, kept);
+        }
+        if quantiser.step_log2() > 0 {
+            for (k, sum) in sums.iter().enumerate().take(grid).skip(1) {
+                if quantiser.haar(sum.integer(), scale_of(k)) == 0 {
+                    kept.remove(k);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn levels<'s, C: Coefficient>(sums: &'s [C], shape: Shape, kept: &'s Kept) -> Haar<'s, C> {
+        Haar { sums, shape, kept }
+    }
+
+    /// The coefficients of a single event are those of the atoms that hold it, +-2^(j/2), and so
+    /// the finest are kept: K cells tell them. None where the finest is not kept or so far below
+    /// the step that its level is 0.
+    fn cells_log2(shape: Shape) -> u32 {
+        let cells_log2 = shape.grid.ilog2();
+        let is_told = coarsest_kept(cells_log2, shape.r) < cells_log2
+            && shape.quantiser.haar(1, cells_log2 - 1) != 0;
+        if is_told { cells_log2 } else { 0 }
+    }
+
+    #[inline(always)]
+    fn cell(scale: PhaseScale, offset_us: u32, cells_log2: u32) -> u32 {
+        scale.bin(offset_us, cells_log2)
+    }
+
+    fn single(u: f64, sign: f64, shape: Shape, mut each: impl FnMut(u16, f64, f64)) {
+        let scales = shape.grid.ilog2();
+        // Among the r largest, since only the `scales - 1` finest come before it.
+        if shape.r >= scales as usize {
+            each(0, sign, 0.0);
+        }
+        if Self::cells_log2(shape) == 0 {
+            return;
+        }
+        for scale in coarsest_kept(scales, shape.r)..scales {
+            let shift = f64::from(1_u32 << scale) * u;
+            let m = shift as u32;
+            let is_first_half = shift - f64::from(m) < 0.5;
+            let value = libm::sqrt(f64::from(1_u32 << scale));
+            let value = if is_first_half { value } else { -value };
+            each(((1 << scale) + m) as u16, sign * value, 0.0);
+        }
+    }
+}
+
+/// The coarsest scale of K = 2^`scales` whose atom is kept of a single event, `scales` where none
+/// is: the finest r but for c_0, which ties with c_1 and comes before it.
+const fn coarsest_kept(scales: u32, r: usize) -> u32 {
+    if r as u32 > scales {
+        return 0;
+    }
+    let coarsest = scales - r as u32;
+    // Scale 0 gives its place to c_0.
+    if coarsest == 0 { 1 } else { coarsest }
 }
 
 /// A number that orders coefficients as |D_k| 2^(j/2) does, ties exact; |D_k| < 2^24, j < 10.
@@ -95,60 +188,10 @@ pub fn small_magnitude(difference: i32, k: usize) -> u32 {
     (difference * difference).unsigned_abs() << scale_of(k)
 }
 
-/// The coefficients of a pixel with one event follow from its bin: those of the atoms that hold
-/// it, +-2^(j/2) and so in the order of their scales, the finest first; c_0 = +-1 before c_1.
-///
-/// Whether the finest is kept and its level is not 0, so that it tells the bin, and the bin all of
-/// them.
-#[inline(always)]
-#[must_use]
-pub const fn bin_is_told((grid_log2, r): (u32, u32), quantiser: Quantiser) -> bool {
-    let is_kept = grid_log2 > 1 || (grid_log2 == 1 && r > 1);
-    is_kept && quantiser.haar(1, grid_log2 - 1) != 0
-}
-
-/// Calls `each` with the kept levels of a pixel with one event `sign` in `bin`, k ascending.
-pub fn single_levels(
-    bin: u32,
-    sign: i32,
-    (grid_log2, r): (u32, u32),
-    quantiser: Quantiser,
-    mut each: impl FnMut(Level),
-) {
-    if r >= grid_log2 {
-        each(Level {
-            k: 0,
-            re: sign,
-            im: 0,
-        });
-    }
-    // c_1 ties with c_0, which stays if there is room for one of them.
-    let coarsest = if r > grid_log2 {
-        0
-    } else {
-        grid_log2.saturating_sub(r).max(1)
-    };
-    for scale in coarsest..grid_log2 {
-        let below = grid_log2 - scale;
-        let is_first_half = (bin >> (below - 1)) & 1 == 0;
-        let re = quantiser.haar(if is_first_half { sign } else { -sign }, scale);
-        if re != 0 {
-            let k = ((1 << scale) + (bin >> below)) as u16;
-            each(Level { k, re, im: 0 });
-        }
-    }
-}
-
-/// The bin whose [`single_levels`] end with `finest`, of the finest scale.
-#[must_use]
-pub fn bin_of(finest: Level, sign: i32, grid_log2: u32) -> u32 {
-    let first = u32::from(finest.k).saturating_sub(1 << grid_log2.saturating_sub(1)) << 1;
-    first + u32::from((finest.re < 0) == (sign > 0))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::quantise::Quantiser;
     use std::vec::Vec;
 
     /// One impulse per count of each of 8 bins of a window of 8 us.
@@ -168,7 +211,6 @@ mod tests {
         let scale = PhaseScale::new(8);
         Dwt::accumulate(
             impulses.iter().copied(),
-            impulses.len() as u32,
             scale,
             8,
             &mut Oscillators::new(),
@@ -224,9 +266,9 @@ mod tests {
         }
     }
 
-    /// By the definition: transform one event, sort stably by magnitude, quantise, drop zeros.
-    fn expected(bin: u32, sign: i32, grid_log2: u32, r: usize, quantiser: Quantiser) -> Vec<Level> {
-        let grid = 1 << grid_log2;
+    /// By the definition: transform one event, sort stably by magnitude.
+    fn expected(bin: u32, sign: i32, shape: Shape) -> Vec<(u16, f64)> {
+        let grid = shape.grid;
         let mut sums = std::vec![Sum::ZERO; 2 * grid];
         let impulse = Impulse {
             offset_us: bin,
@@ -235,7 +277,6 @@ mod tests {
         let scale = PhaseScale::new(grid as u32);
         Dwt::accumulate(
             [impulse].into_iter(),
-            1,
             scale,
             grid,
             &mut Oscillators::new(),
@@ -244,41 +285,43 @@ mod tests {
         sums[0] = Sum::from_num(sign);
         let mut order: Vec<usize> = (0..grid).collect();
         order.sort_by_key(|k| std::cmp::Reverse(magnitude(sums[*k].to_num(), *k)));
-        order.truncate(r);
+        order.truncate(shape.r);
         order.sort_unstable();
-        let level = |k: usize| Level {
-            k: k as u16,
-            re: if k == 0 {
-                sign
-            } else {
-                quantiser.haar(sums[k].to_num(), scale_of(k))
-            },
-            im: 0,
-        };
+        let spacing = |k: usize| libm::sqrt(f64::from(1_u32 << scale_of(k)));
         order
             .into_iter()
-            .map(level)
-            .filter(|level| level.re != 0)
+            .map(|k| (k as u16, sums[k].to_num::<f64>() * spacing(k)))
+            .filter(|(_, value)| *value != 0.0)
             .collect()
     }
 
     #[test]
-    fn a_single_events_levels_follow_from_its_bin() {
-        for grid_log2 in 0..=10 {
-            for bin in (0..1_u32 << grid_log2).step_by(if grid_log2 > 6 { 37 } else { 1 }) {
+    fn a_single_events_coefficients_follow_from_its_cell() {
+        for scales in 0..=10 {
+            for bin in (0..1_u32 << scales).step_by(if scales > 6 { 37 } else { 1 }) {
                 for (r, step_log2) in [(1, -6), (3, 0), (4, 2), (5, 3), (8, 4), (11, 8), (64, 1)] {
-                    let quantiser = Quantiser::new(step_log2).unwrap();
+                    let grid = 1 << scales;
+                    let shape = Shape {
+                        grid,
+                        r: r.min(grid),
+                        quantiser: Quantiser::new(step_log2).unwrap(),
+                    };
+                    let cells_log2 = Dwt::cells_log2(shape);
+                    let cell = Dwt::cell(PhaseScale::new(grid as u32), bin, cells_log2);
+                    let u = (f64::from(cell) + 0.5) / f64::from(1_u32 << cells_log2);
                     for sign in [1, -1] {
-                        let r = r.min(1 << grid_log2);
                         let mut found = Vec::new();
-                        let shape = (grid_log2, r);
-                        single_levels(bin, sign, shape, quantiser, |level| found.push(level));
-                        let expected = expected(bin, sign, grid_log2, r as usize, quantiser);
-                        assert_eq!(found, expected, "{grid_log2} {bin} {r} {step_log2} {sign}");
-                        if bin_is_told(shape, quantiser) {
-                            let finest = *found.last().unwrap();
-                            assert_eq!(bin_of(finest, sign, grid_log2), bin);
+                        Dwt::single(u, f64::from(sign), shape, |k, re, _| found.push((k, re)));
+                        let mut expected = expected(bin, sign, shape);
+                        if cells_log2 == 0 {
+                            // All that is left out is within half of a step.
+                            let (sent, cut) = expected.into_iter().partition(|(k, _)| *k == 0);
+                            expected = sent;
+                            let half_step = libm::exp2(f64::from(step_log2) - 1.0);
+                            let cut: Vec<(u16, f64)> = cut;
+                            assert!(cut.iter().all(|(_, value)| value.abs() <= half_step));
                         }
+                        assert_eq!(found, expected, "{scales} {bin} {r} {step_log2} {sign}");
                     }
                 }
             }

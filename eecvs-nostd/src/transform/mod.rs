@@ -9,8 +9,11 @@ pub mod dwt;
 pub mod oscillator;
 pub mod rows;
 
-use crate::fixed_point::{CHUNK_EVENTS, Sum};
+use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
+use crate::packing::Shape;
 use crate::phase::PhaseScale;
+use crate::prune::Kept;
+use crate::quantise::{Levels, Quantiser};
 use oscillator::Oscillator;
 
 pub use dct::Dct;
@@ -121,18 +124,47 @@ pub trait Basis {
     const TRANSFORM: Transform;
     /// Which coefficients are kept.
     const RULE: Rule;
+    /// The levels that are sent.
+    type Levels<'s, C: Coefficient + 's>: Levels;
 
     /// Accumulate: c_k = sum_i p_i phi_k(u_i) (eq. 6) for k in 1..`grid`, over at most
-    /// [`CHUNK_EVENTS`] impulses; more are left out. `events` is how many there are. `sums`, 2K or longer, is overwritten, but for
+    /// [`CHUNK_EVENTS`] impulses; more are left out. `sums`, 2K or longer, is overwritten, but for
     /// c_0, the sum of the signs, which the caller knows.
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
-        events: u32,
         scale: PhaseScale,
         grid: usize,
         work: &mut Oscillators,
         sums: &mut [Sum],
     );
+
+    /// Prune: adds the coefficients that are sent to `kept`, which is empty. `magnitudes` is memory
+    /// for K numbers. Not asked for where [`Rule::LowFrequency`] says which.
+    fn prune<C: Coefficient>(
+        sums: &[C],
+        events: u32,
+        shape: Shape,
+        magnitudes: &mut [u32],
+        kept: &mut Kept,
+    );
+
+    /// Quantise: the levels of what is sent.
+    fn levels<'s, C: Coefficient>(
+        sums: &'s [C],
+        shape: Shape,
+        kept: &'s Kept,
+    ) -> Self::Levels<'s, C>;
+
+    /// b, 0 to 24: one of 2^b cells of the window tells a single event's coefficients, each within
+    /// half a step.
+    fn cells_log2(shape: Shape) -> u32;
+
+    /// The cell of an offset below T.
+    fn cell(scale: PhaseScale, offset_us: u32, cells_log2: u32) -> u32;
+
+    /// Calls `each` with k, re and im of the kept coefficients of a single event `sign` at `u`, k
+    /// ascending.
+    fn single(u: f64, sign: f64, shape: Shape, each: impl FnMut(u16, f64, f64));
 
     /// Numbers in `sums` that are coefficients: K, or 2K for a complex transform.
     #[must_use]
@@ -143,6 +175,23 @@ pub trait Basis {
             grid
         }
     }
+}
+
+/// [`Basis::cells_log2`] of atoms whose highest turns by `half_turns` pi over the window: it changes
+/// by less than half of a step D over half of a cell, 2^b >= pi `half_turns` / D.
+fn cells_log2_of(half_turns: usize, quantiser: Quantiser) -> u32 {
+    // 3217 / 1024 is above pi by 2.8e-6 of it.
+    let cells_1024 = (3217 * half_turns as u64) << (8 - i32::from(quantiser.step_log2()));
+    let cells = cells_1024.div_ceil(1024 << 8);
+    cells.next_power_of_two().trailing_zeros()
+}
+
+/// [`Basis::cell`] where a cell more or less at its edge does no harm: less than 3 * 2^-32 of the
+/// window from there.
+#[inline(always)]
+fn cell_of(scale: PhaseScale, offset_us: u32, cells_log2: u32) -> u32 {
+    // u / 2 of a turn is below 2^31.
+    scale.half(offset_us).to_bits() >> (31_u32.wrapping_sub(cells_log2) & 31)
 }
 
 /// Memory for the oscillators of a chunk: cosines, then sines.

@@ -163,25 +163,6 @@ fn run_part(work: &mut [Oscillator], len: usize, sums: &mut [Sum], (k, end): (us
     run(oscillators, sums.get_mut(k..end).unwrap_or_default());
 }
 
-/// The atoms of a single event: no sum is read, and no oscillator leaves the registers.
-#[inline(always)]
-fn run_of_one(mut oscillator: Oscillator, sums: &mut [Sum]) {
-    let mut rest = sums;
-    while rest.len() >= 7
-        && let Some((sums, more)) = core::mem::take(&mut rest).split_first_chunk_mut::<7>()
-    {
-        let mut block = [0; 7];
-        oscillator.add(&mut block);
-        *sums = block.map(Sum::from_bits);
-        rest = more;
-    }
-    for sum in rest {
-        let mut block = [0];
-        oscillator.add(&mut block);
-        *sum = Sum::from_bits(block[0]);
-    }
-}
-
 /// k times a phase.
 #[inline(always)]
 fn times(turn: Phase, k: usize) -> Phase {
@@ -214,7 +195,6 @@ fn fill(
 #[inline(always)]
 pub fn cosines(
     impulses: &(impl Iterator<Item = Impulse> + Clone),
-    is_single: bool,
     turn: impl Fn(Impulse) -> Phase + Copy,
     work: &mut [Oscillator],
     sums: &mut [Sum],
@@ -225,11 +205,7 @@ pub fn cosines(
     };
     let grid = sums.len();
     let sums_of_run = sums.get_mut(1..grid.min(RUN)).unwrap_or(&mut []);
-    if is_single {
-        run_single(impulses.clone(), first, sums_of_run);
-    } else {
-        run(first_cosines(impulses.clone(), first, work), sums_of_run);
-    }
+    run(first_cosines(impulses.clone(), first, work), sums_of_run);
     for (k, end) in later_runs(grid) {
         let oscillators = fill(impulses.clone(), work, |impulse| {
             let turn = turn(impulse);
@@ -237,18 +213,6 @@ pub fn cosines(
             Oscillator::start(impulse, cos(turn), x[0], x[1])
         });
         run(oscillators, sums.get_mut(k..end).unwrap_or_default());
-    }
-}
-
-/// The first impulse alone.
-#[inline(always)]
-fn run_single(
-    mut impulses: impl Iterator<Item = Impulse>,
-    start: impl Fn(Impulse) -> Oscillator,
-    sums: &mut [Sum],
-) {
-    if let Some(impulse) = impulses.next() {
-        run_of_one(start(impulse), sums);
     }
 }
 
@@ -266,7 +230,6 @@ fn first_cosines(
 #[inline(always)]
 pub fn cosines_and_sines(
     impulses: &(impl Iterator<Item = Impulse> + Clone),
-    is_single: bool,
     turn: impl Fn(Impulse) -> Phase + Copy,
     (cos_work, sin_work): (&mut [Oscillator], &mut [Oscillator]),
     (cos_sums, sin_sums): (&mut [Sum], &mut [Sum]),
@@ -280,17 +243,9 @@ pub fn cosines_and_sines(
     };
     let grid = cos_sums.len();
     let end = grid.min(RUN);
-    if is_single {
-        if let Some(impulse) = impulses.clone().next() {
-            let (cos, sin) = first(impulse);
-            run_of_one(cos, cos_sums.get_mut(1..end).unwrap_or_default());
-            run_of_one(sin, sin_sums.get_mut(1..end).unwrap_or_default());
-        }
-    } else {
-        let len = fill_pairs(impulses.clone(), first, cos_work, sin_work);
-        run_part(cos_work, len, cos_sums, (1, end));
-        run_part(sin_work, len, sin_sums, (1, end));
-    }
+    let len = fill_pairs(impulses.clone(), first, cos_work, sin_work);
+    run_part(cos_work, len, cos_sums, (1, end));
+    run_part(sin_work, len, sin_sums, (1, end));
     for (k, end) in later_runs(grid) {
         let start = |impulse: Impulse| {
             let turn = turn(impulse);

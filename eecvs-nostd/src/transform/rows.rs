@@ -97,17 +97,6 @@ pub fn cosines(
     sums
 }
 
-/// [`cosines`] of the first impulse alone.
-#[inline(always)]
-pub fn cosines_of_one(
-    mut impulses: impl Iterator<Item = Impulse>,
-    half: impl Fn(Impulse) -> Phase,
-) -> [i32; ATOMS] {
-    impulses.next().map_or([0; ATOMS], |impulse| {
-        Weighted::new(half(impulse), impulse.is_on).add([0; ATOMS])
-    })
-}
-
 /// The bits of one of [`cosines`] as a number; rounds down.
 #[inline(always)]
 #[must_use]

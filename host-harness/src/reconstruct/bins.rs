@@ -108,6 +108,7 @@ mod tests {
             on: 1,
             off: 0,
             coefficients,
+            single_u: None,
         }
     }
 

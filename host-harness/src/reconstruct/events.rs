@@ -134,6 +134,9 @@ impl EventDecoder {
     /// u and p of a pixel's events: `on` of +1 and `off` of -1, in no order.
     #[must_use]
     pub fn pixel(&self, pixel: &Pixel) -> Vec<Placed> {
+        if let Some(u) = pixel.single_u {
+            return vec![(u, if pixel.on > 0 { 1.0 } else { -1.0 })];
+        }
         match &self.bins {
             Some(bins) => self.deal_to_bins(bins, pixel),
             None => Pursuit::new(self, pixel).run(pixel.on, pixel.off),
@@ -410,6 +413,7 @@ mod tests {
             on,
             off,
             coefficients,
+            single_u: None,
         });
         placed.sort_by(|a, b| a.0.total_cmp(&b.0));
         placed
@@ -447,6 +451,7 @@ mod tests {
                     on: 0,
                     off: 1,
                     coefficients: coefficients(Transform::Dtft, 16, &[(u, -1.0)]),
+                    single_u: None,
                 }],
             };
             let event = Event {
@@ -470,6 +475,7 @@ mod tests {
                     on,
                     off,
                     coefficients: vec![(3, 1.0, 2.0)],
+                    single_u: None,
                 };
                 let placed = decoder.pixel(&pixel);
                 assert_eq!(

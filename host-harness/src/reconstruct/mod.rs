@@ -21,26 +21,24 @@ pub struct Pixel {
     pub off: u32,
     /// (k, re, im) of the kept coefficients, k ascending.
     pub coefficients: Vec<(u16, f64, f64)>,
+    /// u of the pixel's event, where there is one alone: the frame tells it.
+    pub single_u: Option<f64>,
 }
 
 impl Pixel {
     /// Dequantises a descriptor. c_0 = on - off is not rounded to a step.
     #[must_use]
     pub fn dequantise(header: &Header, descriptor: &Descriptor) -> Self {
-        let coefficients = descriptor
-            .levels
-            .iter()
-            .map(|level| {
-                let (re, im) = header.quantiser.dequantise(header.transform, *level);
-                (level.k, re, im)
-            })
-            .collect();
+        let packing = header.packing();
+        let mut coefficients = Vec::with_capacity(packing.kept());
+        descriptor.dequantise(&packing, |k, re, im| coefficients.push((k, re, im)));
         Self {
             x: descriptor.x,
             y: descriptor.y,
             on: descriptor.on,
             off: descriptor.off,
             coefficients,
+            single_u: descriptor.single_u(&packing),
         }
     }
 }
@@ -106,7 +104,7 @@ pub(crate) fn haar_support(k: u16) -> (f64, f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eecvs_nostd::{Level, Transform};
+    use eecvs_nostd::{Coded, Level, Transform};
 
     #[test]
     fn c_0_is_the_counts_whatever_the_step() {
@@ -115,14 +113,13 @@ mod tests {
                 transform,
                 ..test_header::header(1000)
             };
-            let mut descriptor = Descriptor {
+            let levels = [(0, 11), (4, 2)].map(|(k, re)| Level { k, re, im: 0 });
+            let descriptor = Descriptor {
                 on: 13,
                 off: 2,
+                coded: Coded::Levels(levels.into_iter().collect()),
                 ..Descriptor::EMPTY
             };
-            for (k, re) in [(0, 11), (4, 2)] {
-                let _ = descriptor.levels.push(Level { k, re, im: 0 });
-            }
             // The middle of the step from 16 to 24, and of that from 0 to 8; 2 steps of the Haar
             // scale of k = 4 are 2 * 4 * 2.
             let expected = match transform {
@@ -145,6 +142,7 @@ mod tests {
                 on: 1,
                 off: 0,
                 coefficients: vec![(0, 1.0, 0.0), (5, 0.25, -0.75)],
+                single_u: None,
             }],
         };
         assert_eq!(window.channels(), 32);

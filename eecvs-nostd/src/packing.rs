@@ -1,0 +1,205 @@
+//! What packing and unpacking agree on before the first pixel.
+//!
+//! Pixels follow each other in raster order. Per pixel: the event counts, the gap to the previous
+//! pixel, and what tells its coefficients; docs/wire-format.md has every field. Nothing adapts:
+//! every code parameter follows from the header and from what the pixel sent before, so a frame
+//! decodes by itself.
+
+use crate::event::Sensor;
+use crate::quantise::Quantiser;
+use crate::transform::{Basis, Dct, Dtft, Dwt, Transform};
+
+/// Bytes that one packed pixel can take at the most: gap and counts 15, which coefficients 81,
+/// 128 numbers of 4; `the_largest_pixel_fits_its_bound` packs it.
+pub const PIXEL_BYTES_MAX: usize = 620;
+
+/// Largest K whose set of coefficients is always sent as a bit each.
+pub(crate) const MASK_GRID_MAX: u16 = 32;
+
+/// What both directions know of a frame before its payload.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Packing {
+    /// Sensor size.
+    pub sensor: Sensor,
+    /// N_w, which sets the order of the gap code.
+    pub window_events: u32,
+    /// Transform.
+    pub transform: Transform,
+    /// M, 1 to 64.
+    pub m: u8,
+    /// K, 1 to 1024.
+    pub grid: u16,
+    /// Quantiser.
+    pub quantiser: Quantiser,
+}
+
+/// What a pixel's coefficients have in common with those of all others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Shape {
+    /// K
+    pub grid: usize,
+    /// r = min(M, K): how many are kept.
+    pub r: usize,
+    /// Quantiser.
+    pub quantiser: Quantiser,
+}
+
+/// Bits that hold a value from 0 to `most`.
+#[inline(always)]
+pub(crate) const fn width_of(most: u32) -> u32 {
+    u32::BITS - most.leading_zeros()
+}
+
+impl Packing {
+    /// r = min(M, K).
+    #[must_use]
+    pub const fn kept(&self) -> usize {
+        if (self.m as u16) < self.grid {
+            self.m as usize
+        } else {
+            self.grid as usize
+        }
+    }
+
+    /// K, r and the quantiser.
+    #[must_use]
+    pub const fn shape(&self) -> Shape {
+        Shape {
+            grid: self.grid as usize,
+            r: self.kept(),
+            quantiser: self.quantiser,
+        }
+    }
+
+    /// b: the time of a single event is told as one of 2^b cells of the window, 0 to 24.
+    #[must_use]
+    pub fn cells_log2(&self) -> u32 {
+        let shape = self.shape();
+        match self.transform {
+            Transform::Dct => Dct::cells_log2(shape),
+            Transform::Dtft => Dtft::cells_log2(shape),
+            Transform::Dwt => Dwt::cells_log2(shape),
+        }
+    }
+
+    /// Order of the gap code: log2 of the mean gap, were every event alone in its pixel.
+    pub(crate) const fn gap_order(&self) -> u32 {
+        let pixels = self.sensor.pixels();
+        let events = if self.window_events == 0 {
+            1
+        } else {
+            self.window_events
+        };
+        if pixels <= events {
+            0
+        } else {
+            (pixels / events).ilog2()
+        }
+    }
+
+    /// Bits of the widest level that a pixel of `events` can have: |c| < n.
+    #[inline(always)]
+    pub(crate) const fn level_bits_max(&self, events: u32) -> u32 {
+        let fraction_bits = match self.transform {
+            Transform::Dct | Transform::Dtft => -(self.quantiser.step_log2() as i32),
+            // Haar levels count events, or several of them at a coarse step.
+            Transform::Dwt => 0,
+        };
+        let bits = width_of(events.wrapping_sub(1)) as i32 + fraction_bits;
+        let bits = if bits < 0 { 0 } else { bits as u32 };
+        if bits < 32 { bits + 1 } else { 32 }
+    }
+
+    pub(crate) const fn index_bits(&self) -> u32 {
+        width_of((self.grid as u32).wrapping_sub(1))
+    }
+
+    /// Whether a list of indices is shorter than a bit per grid point.
+    pub(crate) const fn lists_indices(&self, count: u32) -> bool {
+        self.grid > MASK_GRID_MAX && count * self.index_bits() < self.grid as u32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_widest_level_follows_from_steps_and_events() {
+        for (transform, step_log2, events, bits) in [
+            // -128 to 127
+            (Transform::Dct, -6, 2, 8),
+            (Transform::Dtft, -6, 3, 9),
+            (Transform::Dtft, -6, 4, 9),
+            (Transform::Dtft, -15, 1 << 17, 32),
+            (Transform::Dct, -15, 1 << 23, 32),
+            // 1,024 events in steps of 4: -256 to 255
+            (Transform::Dtft, 2, 1 << 10, 9),
+            (Transform::Dtft, 2, (1 << 10) + 1, 10),
+            (Transform::Dct, 8, 256, 1),
+            (Transform::Dct, 8, 257, 2),
+            // -n to n without 0
+            (Transform::Dwt, -6, 2, 2),
+            (Transform::Dwt, -15, 16, 5),
+            (Transform::Dwt, 2, 17, 6),
+        ] {
+            let packing = packing(transform, 8, 16, step_log2);
+            assert_eq!(
+                packing.level_bits_max(events),
+                bits,
+                "{transform:?} {step_log2} {events}"
+            );
+        }
+    }
+
+    #[test]
+    fn indices_are_listed_only_where_that_is_shorter() {
+        for (grid, count, lists) in [
+            (32, 1, false),
+            (33, 1, true),
+            (64, 10, true),
+            (64, 11, false),
+            (1024, 64, true),
+            (640, 64, false),
+        ] {
+            let packing = packing(Transform::Dtft, 64, grid, 0);
+            assert_eq!(packing.lists_indices(count), lists, "{count} of {grid}");
+        }
+    }
+
+    fn packing(transform: Transform, m: u8, grid: u16, step_log2: i8) -> Packing {
+        Packing {
+            sensor: Sensor {
+                width: Sensor::SIDE_MAX,
+                height: Sensor::SIDE_MAX,
+            },
+            window_events: 1 << 22,
+            transform,
+            m,
+            grid,
+            quantiser: Quantiser::new(step_log2).unwrap(),
+        }
+    }
+
+    /// Every coefficient of an event anywhere in a cell is within half a step of the cell's
+    /// middle, and with a cell fewer in two it would not be.
+    #[test]
+    fn cells_are_as_wide_as_half_a_step_allows() {
+        for step_log2 in -15..=8 {
+            for m in [1, 2, 3, 8, 16, 64] {
+                for (transform, turns) in [(Transform::Dct, 0.5), (Transform::Dtft, 1.0)] {
+                    let packing = packing(transform, m, u16::from(m), step_log2);
+                    let b = packing.cells_log2();
+                    let slope = core::f64::consts::TAU * turns * f64::from(m - 1);
+                    let step = libm::exp2(f64::from(step_log2));
+                    let half_cell = |b: i32| libm::exp2(f64::from(-b - 1));
+                    assert!(slope * half_cell(b as i32) <= step / 2.0);
+                    assert!(b == 0 || slope * half_cell(b as i32 - 1) > step / 2.0 * 0.999_99);
+                    assert!(b <= 24);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,236 @@
+//! One pixel's way from its events to bits: accumulate, prune, quantise, pack.
+
+use crate::bits::BitWriter;
+use crate::encoder::Scratch;
+use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
+use crate::group::{Impulses, Pixel};
+use crate::pack::Packer;
+use crate::packing::{Packing, Shape};
+use crate::phase::PhaseScale;
+use crate::prune::Kept;
+use crate::quantise::Levels;
+use crate::trace::{Stage, Trace};
+use crate::transform::{Basis, Impulse, Rule, Transform, rows};
+use crate::window::Slot;
+
+const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
+
+/// Whether the DCT's coefficients are as many as stay in registers, all of them are kept, and the
+/// step is 1 at the most: [`PixelEncoder::encode_few`] is for these.
+pub(crate) fn is_few(packing: &Packing) -> bool {
+    packing.transform == Transform::Dct
+        && usize::from(packing.m) == rows::GRID
+        && usize::from(packing.grid) == rows::GRID
+        && packing.quantiser.step_log2() <= 0
+}
+
+/// What turns the pixels of a frame into bits, one after the other.
+pub(crate) struct PixelEncoder<'e, 'b> {
+    shape: Shape,
+    scale: PhaseScale,
+    scratch: &'e mut Scratch<'b>,
+    kept: &'e mut Kept,
+    packer: Packer,
+}
+
+impl<'e, 'b> PixelEncoder<'e, 'b> {
+    pub(crate) fn new(
+        packing: &Packing,
+        scale: PhaseScale,
+        scratch: &'e mut Scratch<'b>,
+        kept: &'e mut Kept,
+    ) -> Self {
+        Self {
+            shape: packing.shape(),
+            scale,
+            scratch,
+            kept,
+            packer: packing.packer(),
+        }
+    }
+
+    /// Encodes a pixel; returns how many levels saturated.
+    #[inline(always)]
+    pub(crate) fn encode<B: Basis, T: Trace>(
+        &mut self,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> u32 {
+        let events = pixel.on + pixel.off;
+        if events == 1 {
+            self.encode_single::<B, T>(pixel, slots, writer, trace);
+            return 0;
+        }
+        if events as usize > CHUNK_EVENTS {
+            return self.encode_crowded::<B, T>(pixel, slots, writer, trace);
+        }
+        trace.enter(Stage::Accumulate);
+        let Scratch {
+            oscillators,
+            sums,
+            magnitudes,
+            ..
+        } = &mut *self.scratch;
+        let impulses = Impulses::new(pixel, slots);
+        B::accumulate(impulses, self.scale, self.shape.grid, oscillators, sums);
+        if B::RULE as u8 == Rule::Magnitude as u8 {
+            set_zeroth::<B, _>(pixel, self.shape.grid, sums);
+        }
+        let mut rest = Rest {
+            shape: self.shape,
+            magnitudes,
+            kept: self.kept,
+            packer: &mut self.packer,
+        };
+        rest.encode::<B, Sum, T>(pixel, sums, writer, trace)
+    }
+
+    /// The same for the DCT where [`is_few`] holds: the few coefficients have a loop and a packing
+    /// of their own.
+    #[inline(always)]
+    pub(crate) fn encode_few<B: Basis, T: Trace>(
+        &mut self,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> u32 {
+        match pixel.on + pixel.off {
+            1 => self.encode_single::<B, T>(pixel, slots, writer, trace),
+            2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
+            _ => return self.encode_crowded::<B, T>(pixel, slots, writer, trace),
+        }
+        0
+    }
+
+    /// A pixel of one event, whose coefficients follow from its time.
+    #[inline(always)]
+    fn encode_single<B: Basis, T: Trace>(
+        &mut self,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        trace.enter(Stage::Accumulate);
+        let first = Impulses::new(pixel, slots).next();
+        let offset_us = first.map_or(0, |impulse| impulse.offset_us);
+        let cell = B::cell(self.scale, offset_us, self.packer.cells_log2());
+        trace.enter(Stage::Pack);
+        let position = (pixel.x, pixel.y);
+        writer.aside(|writer| self.packer.single(position, pixel.on == 1, cell, writer));
+    }
+
+    /// A pixel of 2 events to a chunk's.
+    #[inline(always)]
+    fn encode_several<T: Trace>(
+        &mut self,
+        pixel: &Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        trace.enter(Stage::Accumulate);
+        let half = |impulse: Impulse| self.scale.half(impulse.offset_us);
+        let sums = rows::cosines(Impulses::new(*pixel, slots), half);
+        trace.enter(Stage::Pack);
+        writer.aside(|writer| {
+            let counts = (pixel.on, pixel.off);
+            let place = self.packer.place_code((pixel.x, pixel.y), counts, writer);
+            self.packer
+                .seven_levels(place, pixel.on + pixel.off, sums, writer);
+        });
+    }
+
+    /// A pixel of several chunks.
+    #[cold]
+    #[inline(never)]
+    fn encode_crowded<B: Basis, T: Trace>(
+        &mut self,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> u32 {
+        trace.enter(Stage::Accumulate);
+        let Scratch {
+            oscillators,
+            sums,
+            totals,
+            magnitudes,
+        } = &mut *self.scratch;
+        let grid = self.shape.grid;
+        let values = B::values(grid);
+        for total in totals.iter_mut().take(values) {
+            *total = WideSum::ZERO;
+        }
+        let mut impulses = Impulses::new(pixel, slots);
+        for _ in 0..(pixel.on + pixel.off).div_ceil(CHUNK_EVENTS_U32) {
+            B::accumulate(impulses.clone(), self.scale, grid, oscillators, sums);
+            for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
+                // Fewer than 2^24 events of at most 1 each: far from the 2^40 that a total holds.
+                *total = total.wrapping_add(sum.wide());
+            }
+            let _ = impulses.nth(CHUNK_EVENTS - 1);
+        }
+        set_zeroth::<B, _>(pixel, grid, totals);
+        let mut rest = Rest {
+            shape: self.shape,
+            magnitudes,
+            kept: self.kept,
+            packer: &mut self.packer,
+        };
+        rest.encode::<B, WideSum, T>(pixel, totals, writer, trace)
+    }
+}
+
+/// c_0 = on - off.
+#[inline(always)]
+fn set_zeroth<B: Basis, C: Coefficient>(pixel: Pixel, grid: usize, sums: &mut [C]) {
+    if let Some(re) = sums.first_mut() {
+        *re = C::from_integer(pixel.on as i32 - pixel.off as i32);
+    }
+    if B::TRANSFORM.is_complex()
+        && let Some(im) = sums.get_mut(grid)
+    {
+        *im = C::from_integer(0);
+    }
+}
+
+/// The stages after accumulation, for coefficients of either width.
+struct Rest<'e> {
+    shape: Shape,
+    magnitudes: &'e mut [u32],
+    kept: &'e mut Kept,
+    packer: &'e mut Packer,
+}
+
+impl Rest<'_> {
+    #[inline(always)]
+    fn encode<B: Basis, C: Coefficient, T: Trace>(
+        &mut self,
+        pixel: Pixel,
+        sums: &[C],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> u32 {
+        let shape = self.shape;
+        let is_pruned = B::RULE as u8 == Rule::Magnitude as u8;
+        let (counts, events) = ((pixel.on, pixel.off), pixel.on + pixel.off);
+        if is_pruned {
+            trace.enter(Stage::Prune);
+            self.kept.clear(shape.grid);
+            B::prune(sums, events, shape, self.magnitudes, self.kept);
+        }
+        trace.enter(Stage::Pack);
+        self.packer.place((pixel.x, pixel.y), counts, writer);
+        if is_pruned {
+            self.packer.set(self.kept, writer);
+        }
+        let levels = B::levels(sums, shape, self.kept);
+        self.packer.levels(events, &levels, writer);
+        levels.saturated()
+    }
+}
