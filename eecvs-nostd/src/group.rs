@@ -143,6 +143,13 @@ impl<'s> Impulses<'s> {
             next: pixel.head,
         }
     }
+
+    /// The slots, and index + 1 of the next of them.
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    pub(crate) const fn parts(&self) -> (&'s [Slot], u32) {
+        (self.slots, self.next)
+    }
 }
 
 impl Iterator for Impulses<'_> {

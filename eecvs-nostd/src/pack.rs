@@ -109,22 +109,23 @@ impl Packer {
     }
 
     /// `place`, which is what [`Self::place_code`] gave, and then [`Self::levels`] of 2 to
-    /// [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events.
+    /// [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events: their sums, and the bits of these
+    /// that are not copies of the sign.
     #[inline(always)]
     pub fn seven_levels(
         &self,
         place: (u32, u32),
         events: u32,
-        bits_of_sums: [i32; 7],
+        (sums, spread): (&[i32; 7], u32),
         writer: &mut BitWriter<'_>,
     ) {
         let levels = Seven {
-            bits: bits_of_sums,
+            bits: sums,
             shift: self.shift,
         };
         // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
         let most = width_of(events.wrapping_sub(1)) + self.one_bits;
-        let bits = (width_of(levels.spread()) + 1).min(most);
+        let bits = (width_of(spread >> (self.shift & 31)) + 1).min(most);
         let code_bits = place.1 + (most - bits);
         let code = place.0 | (1 << (code_bits & 31));
         let code_bits = code_bits + 1;
@@ -242,7 +243,7 @@ fn put_levels(most: u32, levels: &impl Levels, writer: &mut BitWriter<'_>) {
 fn seven_wide(
     (code, code_bits): (u32, u32),
     most: u32,
-    levels: &Seven,
+    levels: &Seven<'_>,
     writer: &mut BitWriter<'_>,
 ) {
     writer.put_clean(code, code_bits);

@@ -44,8 +44,19 @@ impl PhaseScale {
     #[inline(always)]
     #[must_use]
     pub const fn half(self, offset_us: u32) -> Phase {
-        let product = (offset_us << self.shift) as u64 * self.reciprocal as u64;
+        Self::half_of(offset_us, self.shift, self.reciprocal)
+    }
+
+    /// [`Self::half`] from [`Self::parts`].
+    #[inline(always)]
+    pub(crate) const fn half_of(offset_us: u32, shift: u32, reciprocal: u32) -> Phase {
+        let product = (offset_us << (shift & 31)) as u64 * reciprocal as u64;
         Phase::from_bits((product >> 32) as u32)
+    }
+
+    /// What [`Self::half`] shifts and multiplies by.
+    pub(crate) const fn parts(self) -> (u32, u32) {
+        (self.shift, self.reciprocal)
     }
 
     /// floor(2^`bins_log2` u) for an offset below T, exact: the Haar atoms' discontinuities ask

@@ -10,7 +10,8 @@ use crate::phase::PhaseScale;
 use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::trace::{Stage, Trace};
-use crate::transform::{Basis, Impulse, Rule, Transform, rows};
+use crate::transform::rows::{self, Cosines};
+use crate::transform::{Basis, Rule, Transform};
 use crate::window::Slot;
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
@@ -31,6 +32,7 @@ pub(crate) struct PixelEncoder<'e, 'b> {
     scratch: &'e mut Scratch<'b>,
     kept: &'e mut Kept,
     packer: Packer,
+    cosines: Cosines,
 }
 
 impl<'e, 'b> PixelEncoder<'e, 'b> {
@@ -46,6 +48,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             scratch,
             kept,
             packer: packing.packer(),
+            cosines: Cosines::new(scale),
         }
     }
 
@@ -133,14 +136,17 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) {
         trace.enter(Stage::Accumulate);
-        let half = |impulse: Impulse| self.scale.half(impulse.offset_us);
-        let sums = rows::cosines(Impulses::new(*pixel, slots), half);
+        let spread = self.cosines.of(Impulses::new(*pixel, slots));
         trace.enter(Stage::Pack);
         writer.aside(|writer| {
             let counts = (pixel.on, pixel.off);
             let place = self.packer.place_code((pixel.x, pixel.y), counts, writer);
-            self.packer
-                .seven_levels(place, pixel.on + pixel.off, sums, writer);
+            self.packer.seven_levels(
+                place,
+                pixel.on + pixel.off,
+                (self.cosines.sums(), spread),
+                writer,
+            );
         });
     }
 

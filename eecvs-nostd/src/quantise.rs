@@ -240,24 +240,16 @@ impl<C: Coefficient> Levels for Run<'_, C> {
     }
 }
 
-/// Levels of seven sums that are in registers.
+/// Levels of seven sums.
 #[derive(Debug, Clone, Copy)]
-pub struct Seven {
+pub struct Seven<'s> {
     /// Coefficients from k = 1 on, as [`crate::transform::rows`] gives them.
-    pub bits: [i32; 7],
+    pub bits: &'s [i32; 7],
     /// What brings these to levels.
     pub shift: u32,
 }
 
-impl Seven {
-    /// The bits that are not copies of the sign, of any of the levels.
-    #[inline(always)]
-    #[must_use]
-    pub fn spread(&self) -> u32 {
-        let spread = |all, sum: &i32| all | (sum ^ (sum >> 31));
-        self.bits.iter().fold(0, spread) as u32 >> (self.shift & 31)
-    }
-
+impl Seven<'_> {
     /// The first three levels side by side and the other four, of up to 8 `bits` each.
     #[inline(always)]
     #[must_use]

@@ -31,6 +31,10 @@ impl Slot {
         link: 0,
     };
 
+    /// Where [`Self::next`] begins in the second word, whose lowest bit is the polarity.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const NEXT_SHIFT: u32 = LINK_SHIFT;
+
     /// `next` as [`Self::next`], `on` 0 or 1.
     #[inline]
     const fn new(offset_us: u32, next: u32, x: u32, on: u32) -> Self {
