@@ -161,6 +161,13 @@ impl<'o> BitWriter<'o> {
         self.state.words >= self.words.len()
     }
 
+    /// Whether so many words can be put yet without its becoming full.
+    #[inline(always)]
+    #[must_use]
+    pub const fn has_words(&self, words: usize) -> bool {
+        self.state.words + words < self.words.len()
+    }
+
     /// Where the writer stands.
     #[inline(always)]
     #[must_use]

@@ -247,17 +247,14 @@ impl<'b> WindowEncoder<'b> {
         let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..end]);
         let scale = task.scale;
         header.last = match header.transform {
-            Transform::Dct if is_few(&header.packing()) => {
-                self.encode_pixels::<Dct, true, _>(window, scale, header, &mut writer, trace)
-            }
             Transform::Dct => {
-                self.encode_pixels::<Dct, false, _>(window, scale, header, &mut writer, trace)
+                self.encode_pixels::<Dct, _>(window, scale, header, &mut writer, trace)
             }
             Transform::Dtft => {
-                self.encode_pixels::<Dtft, false, _>(window, scale, header, &mut writer, trace)
+                self.encode_pixels::<Dtft, _>(window, scale, header, &mut writer, trace)
             }
             Transform::Dwt => {
-                self.encode_pixels::<Dwt, false, _>(window, scale, header, &mut writer, trace)
+                self.encode_pixels::<Dwt, _>(window, scale, header, &mut writer, trace)
             }
         };
         trace.enter(Stage::Frame);
@@ -311,9 +308,9 @@ impl<'b> WindowEncoder<'b> {
     }
 
     /// Encodes pixels up to the last, or up to the first that finds no room; returns whether that
-    /// was the last. `FEW` where [`is_few`] holds.
+    /// was the last.
     #[inline(never)]
-    fn encode_pixels<B: Basis, const FEW: bool, T: Trace>(
+    fn encode_pixels<B: Basis, T: Trace>(
         &mut self,
         window: &mut Window<'_>,
         scale: PhaseScale,
@@ -323,15 +320,15 @@ impl<'b> WindowEncoder<'b> {
     ) -> bool {
         let packing = header.packing();
         let mut encoder = PixelEncoder::new(&packing, scale, &mut self.scratch, &mut self.kept);
-        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
+        let (mut events, mut pixels, mut saturated) = (0, 0, 0);
+        if B::TRANSFORM as u8 == Transform::Dct as u8 && is_few(&packing) {
+            (events, pixels, saturated) =
+                encoder.encode_few(&mut self.group, window, writer, trace);
+        }
         let mut is_last = true;
         while let Some(pixel) = self.group.next(window) {
             let position = writer.position();
-            let saturates = if FEW {
-                encoder.encode_few::<B, T>(pixel, window.slots(), writer, trace)
-            } else {
-                encoder.encode::<B, T>(pixel, window.slots(), writer, trace)
-            };
+            let saturates = encoder.encode::<B, T>(pixel, window.slots(), writer, trace);
             if writer.is_full() {
                 writer.rewind(position);
                 self.group.put_back(pixel);

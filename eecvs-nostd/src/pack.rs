@@ -72,13 +72,11 @@ impl Packer {
     #[inline(always)]
     pub fn place_code(
         &mut self,
-        (x, y): (u16, u16),
+        position: (u16, u16),
         (on, off): (u32, u32),
         writer: &mut BitWriter<'_>,
     ) -> (u32, u32) {
-        let index = u32::from(y) * u32::from(self.packing.sensor.width) + u32::from(x);
-        let gap = index.wrapping_sub(self.next_index);
-        self.next_index = index + 1;
+        let gap = self.gap(position);
         let events = on + off;
         let (counts, more_bits) = exp_golomb(events.wrapping_sub(1), 0);
         let on_bits = width_of(events);
@@ -179,16 +177,30 @@ impl Packer {
         cell: u32,
         writer: &mut BitWriter<'_>,
     ) {
-        let counts = (u32::from(is_on), u32::from(!is_on));
-        let (code, bits) = self.place_code(position, counts, writer);
+        let gap = self.gap(position);
+        let (gap_code, gap_bits) = exp_golomb(gap, self.gap_order);
         let cells_log2 = self.cells_log2;
-        if bits + cells_log2 <= 32 {
-            // A code of no bits is 0, and one of 32 leaves none for the cell.
-            writer.put_clean(code | (cell << (bits & 31)), bits + cells_log2);
+        // n - 1 = 0 is a one, and `on` a bit.
+        let bits = 2 + gap_bits + cells_log2;
+        if bits < 32 {
+            // The 1 above the gap's code is taken off the cell.
+            let cell = cell.wrapping_sub(1) << ((2 + gap_bits) & 31);
+            let code = (1 | (u32::from(is_on) << 1) | (gap_code << 2)).wrapping_add(cell);
+            writer.put_here(code, bits);
         } else {
-            writer.put_clean(code, bits);
+            writer.put_clean(1 | (u32::from(is_on) << 1), 2);
+            writer.put_exp_golomb(gap, self.gap_order);
             writer.put_clean(cell, cells_log2);
         }
+    }
+
+    /// From the pixel before to this one.
+    #[inline(always)]
+    const fn gap(&mut self, (x, y): (u16, u16)) -> u32 {
+        let index = y as u32 * self.packing.sensor.width as u32 + x as u32;
+        let gap = index.wrapping_sub(self.next_index);
+        self.next_index = index + 1;
+        gap
     }
 
     /// Bits of a single event's cell.

@@ -3,7 +3,7 @@
 use crate::bits::BitWriter;
 use crate::encoder::Scratch;
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
-use crate::group::{Impulses, Pixel};
+use crate::group::{Group, Impulses, Pixel};
 use crate::pack::Packer;
 use crate::packing::{Packing, Shape};
 use crate::phase::PhaseScale;
@@ -11,8 +11,8 @@ use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::trace::{Stage, Trace};
 use crate::transform::rows::{self, Cosines};
-use crate::transform::{Basis, Rule, Transform};
-use crate::window::Slot;
+use crate::transform::{Basis, Dct, Rule, Transform};
+use crate::window::{Slot, Window};
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
 
@@ -24,6 +24,10 @@ pub(crate) fn is_few(packing: &Packing) -> bool {
         && usize::from(packing.grid) == rows::GRID
         && packing.quantiser.step_log2() <= 0
 }
+
+/// Words that a pixel takes at the most where [`is_few`] holds: counts and gap, 3 * 31 bits and 3;
+/// a width of up to 32 bits, 7 levels of 32; and what was there before.
+const FEW_WORDS_MAX: usize = 3 + 1 + 7 + 1;
 
 /// What turns the pixels of a frame into bits, one after the other.
 pub(crate) struct PixelEncoder<'e, 'b> {
@@ -90,22 +94,37 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         rest.encode::<B, Sum, T>(pixel, sums, writer, trace)
     }
 
-    /// The same for the DCT where [`is_few`] holds: the few coefficients have a loop and a packing
-    /// of their own.
-    #[inline(always)]
-    pub(crate) fn encode_few<B: Basis, T: Trace>(
+    /// Encodes pixels where [`is_few`] holds while the output has room for any: the few
+    /// coefficients have a loop and a packing of their own. Returns events, pixels, and how many
+    /// levels saturated.
+    #[inline(never)]
+    pub(crate) fn encode_few<T: Trace>(
         &mut self,
-        pixel: Pixel,
-        slots: &[Slot],
+        group: &mut Group,
+        window: &mut Window<'_>,
         writer: &mut BitWriter<'_>,
         trace: &mut T,
-    ) -> u32 {
-        match pixel.on + pixel.off {
-            1 => self.encode_single::<B, T>(pixel, slots, writer, trace),
-            2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
-            _ => return self.encode_crowded::<B, T>(pixel, slots, writer, trace),
+    ) -> (u32, u32, u32) {
+        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
+        while writer.has_words(FEW_WORDS_MAX) {
+            trace.enter(Stage::Group);
+            let Some(pixel) = group.next(window) else {
+                break;
+            };
+            let slots = window.slots();
+            let here = pixel.on + pixel.off;
+            match here {
+                1 => self.encode_single::<Dct, T>(pixel, slots, writer, trace),
+                2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
+                _ => {
+                    let saturates = self.encode_crowded::<Dct, T>(pixel, slots, writer, trace);
+                    saturated = saturated.saturating_add(saturates);
+                }
+            }
+            events += here;
+            pixels += 1;
         }
-        0
+        (events, pixels, saturated)
     }
 
     /// A pixel of one event, whose coefficients follow from its time.
@@ -123,7 +142,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         let cell = B::cell(self.scale, offset_us, self.packer.cells_log2());
         trace.enter(Stage::Pack);
         let position = (pixel.x, pixel.y);
-        writer.aside(|writer| self.packer.single(position, pixel.on == 1, cell, writer));
+        self.packer.single(position, pixel.on == 1, cell, writer);
     }
 
     /// A pixel of 2 events to a chunk's.
