@@ -1,5 +1,7 @@
 //! Bits in bytes: the first bit is the lowest of the first byte.
 
+use core::mem::offset_of;
+
 /// The buffer has no room left for what was put.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -15,14 +17,16 @@ pub struct Ended;
 /// Once the buffer is full, what is put is lost until [`Self::rewind`]: ask [`Self::is_full`] after
 /// a pixel, not after each of its fields.
 #[derive(Debug)]
+#[repr(C)]
 pub struct BitWriter<'o> {
-    words: &'o mut [[u8; 4]],
     state: Position,
+    words: &'o mut [[u8; 4]],
 }
 
 /// A place in a [`BitWriter`]'s output to go back to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(C)]
 pub struct Position {
     /// Words written.
     words: usize,
@@ -31,6 +35,13 @@ pub struct Position {
     /// Bits that the next word still takes: 1 to 32.
     free: u32,
 }
+
+// What assembly takes for granted.
+const _: () = assert!(
+    offset_of!(Position, words) == 0
+        && offset_of!(Position, pending) == size_of::<usize>()
+        && offset_of!(Position, free) == size_of::<usize>() + 4
+);
 
 impl<'o> BitWriter<'o> {
     /// A writer at the start of `out`, of which up to three bytes at the end stay unused.
@@ -159,6 +170,13 @@ impl<'o> BitWriter<'o> {
     pub const fn is_full(&self) -> bool {
         // One word stays free for what `finish` has to write.
         self.state.words >= self.words.len()
+    }
+
+    /// What is written from, for assembly: the next word, and the state, of which it writes `words`
+    /// less what they were, `pending` and `free`.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn parts(&mut self) -> (&mut [[u8; 4]], &mut Position) {
+        (&mut *self.words, &mut self.state)
     }
 
     /// Whether so many words can be put yet without its becoming full.

@@ -5,7 +5,8 @@ use crate::descriptor::{Coded, Descriptor};
 use crate::packing::{MASK_GRID_MAX, Packing, width_of};
 use crate::prune::Kept;
 use crate::quantise::{Level, Levels, Run, Seven};
-use crate::transform::{Rule, Transform, rows};
+use crate::transform::rows::{self, Cosines};
+use crate::transform::{Rule, Transform};
 
 impl Packing {
     /// What packs the pixels of a frame, from its first.
@@ -13,11 +14,11 @@ impl Packing {
     pub fn packer(&self) -> Packer {
         Packer {
             packing: *self,
-            gap_order: self.gap_order(),
+            gap: GapCode::new(self.gap_order()),
+            width: u32::from(self.sensor.width),
             cells_log2: self.cells_log2(),
             one_bits: self.level_bits_max(1),
             shift: self.quantiser.shift() + rows::MORE_BITS,
-            next_index: 0,
         }
     }
 
@@ -32,12 +33,10 @@ impl Packing {
         next_index: &mut u32,
         writer: &mut BitWriter<'_>,
     ) -> Result<(), Full> {
-        let mut packer = Packer {
-            next_index: *next_index,
-            ..self.packer()
-        };
+        let mut packer = self.packer();
+        packer.gap.go_to(*next_index);
         packer.pack(descriptor, writer);
-        *next_index = packer.next_index;
+        *next_index = packer.gap.next_index();
         if writer.is_full() { Err(Full) } else { Ok(()) }
     }
 }
@@ -46,17 +45,79 @@ impl Packing {
 ///
 /// Nothing is an error here: ask the writer whether it [`BitWriter::is_full`] after each pixel.
 #[derive(Debug, Clone, Copy)]
+#[repr(C)]
 pub struct Packer {
-    packing: Packing,
-    gap_order: u32,
-    /// [`Packing::cells_log2`]
-    cells_log2: u32,
+    gap: GapCode,
     /// Bits of a level of one event.
     one_bits: u32,
-    /// [`Quantiser::shift`] for the sums of [`rows`].
+    /// [`Quantiser::shift`](crate::quantise::Quantiser::shift) for the sums of [`rows`].
     shift: u32,
-    /// Raster index after the previous pixel's.
-    next_index: u32,
+    /// Columns of the sensor.
+    width: u32,
+    /// [`Packing::cells_log2`]
+    cells_log2: u32,
+    packing: Packing,
+}
+
+/// From the pixel before to the next, as an Exp-Golomb code: [`exp_golomb`] with what follows from
+/// its order g at hand.
+#[derive(Debug, Clone, Copy)]
+#[repr(C)]
+struct GapCode {
+    /// Raster index after the previous pixel's, less 2^g.
+    before: u32,
+    /// 2^g - 1
+    less: u32,
+    /// 31 - g
+    zeros_max: u32,
+    /// 63 - g
+    bits_max: u32,
+}
+
+impl GapCode {
+    const fn new(order: u32) -> Self {
+        let less = (1 << (order & 31)) - 1;
+        Self {
+            before: 0_u32.wrapping_sub(1 + less),
+            less,
+            zeros_max: 31_u32.wrapping_sub(order),
+            bits_max: 63_u32.wrapping_sub(order),
+        }
+    }
+
+    const fn order(&self) -> u32 {
+        31_u32.wrapping_sub(self.zeros_max)
+    }
+
+    const fn next_index(&self) -> u32 {
+        self.before.wrapping_add(1 + self.less)
+    }
+
+    const fn go_to(&mut self, next_index: u32) {
+        self.before = next_index.wrapping_sub(1 + self.less);
+    }
+
+    /// Goes to the pixel at `index`; returns the gap plus 2^g.
+    #[inline(always)]
+    const fn step(&mut self, index: u32) -> u32 {
+        let shifted = index.wrapping_sub(self.before);
+        self.before = index.wrapping_sub(self.less);
+        shifted
+    }
+
+    /// The code of what [`Self::step`] gave, a 1 right above it, and its bits; the code holds where
+    /// they are below 32.
+    #[inline(always)]
+    const fn code(&self, shifted: u32) -> (u32, u32) {
+        let zeros = shifted.leading_zeros();
+        let code = ((shifted << 1) + 1) << (self.zeros_max.wrapping_sub(zeros) & 31);
+        (code, self.bits_max.wrapping_sub(2 * zeros))
+    }
+
+    /// Puts it whatever its length.
+    fn put(&self, shifted: u32, writer: &mut BitWriter<'_>) {
+        writer.put_exp_golomb(shifted.wrapping_sub(1 + self.less), self.order());
+    }
 }
 
 impl Packer {
@@ -72,26 +133,26 @@ impl Packer {
     #[inline(always)]
     pub fn place_code(
         &mut self,
-        position: (u16, u16),
+        (x, y): (u16, u16),
         (on, off): (u32, u32),
         writer: &mut BitWriter<'_>,
     ) -> (u32, u32) {
-        let gap = self.gap(position);
+        let shifted = self.gap.step(u32::from(y) * self.width + u32::from(x));
+        let (gap_code, gap_bits) = self.gap.code(shifted);
         let events = on + off;
-        let (counts, more_bits) = exp_golomb(events.wrapping_sub(1), 0);
+        let (counts, counts_bits) = exp_golomb(events.wrapping_sub(1), 0);
         let on_bits = width_of(events);
-        let (gap_code, gap_bits) = exp_golomb(gap, self.gap_order);
-        let counts_bits = more_bits + on_bits;
-        let bits = counts_bits + gap_bits;
+        let before_on = gap_bits + counts_bits;
+        let bits = before_on + on_bits;
         if bits < 32 {
-            // The 1 above the first code is taken off the number that follows it.
-            let on = on.wrapping_sub(1) << (more_bits & 31);
-            let counts = counts.wrapping_add(on);
-            let code = counts | (gap_code << (counts_bits & 31));
-            (code ^ (1 << (bits & 31)), bits)
+            // The 1 above each code is taken off the number that follows it.
+            let code = gap_code
+                .wrapping_add(counts.wrapping_sub(1) << (gap_bits & 31))
+                .wrapping_add(on.wrapping_sub(1) << (before_on & 31));
+            (code, bits)
         } else {
-            let gap_order = self.gap_order;
-            writer.aside(|writer| place_long(gap, (on, events), gap_order, writer));
+            let gap = self.gap;
+            writer.aside(|writer| place_long((gap, shifted), (on, events), writer));
             (0, 0)
         }
     }
@@ -106,34 +167,53 @@ impl Packer {
         put_levels(most, levels, writer);
     }
 
-    /// `place`, which is what [`Self::place_code`] gave, and then [`Self::levels`] of 2 to
-    /// [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events: their sums, and the bits of these
-    /// that are not copies of the sign.
+    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events, whole: its place
+    /// and the levels of its sums. The output has room for it.
     #[inline(always)]
-    pub fn seven_levels(
-        &self,
-        place: (u32, u32),
-        events: u32,
-        (sums, spread): (&[i32; 7], u32),
+    pub fn seven(
+        &mut self,
+        position: (u16, u16),
+        counts: (u32, u32),
+        cosines: &Cosines,
         writer: &mut BitWriter<'_>,
     ) {
-        let levels = Seven {
-            bits: sums,
-            shift: self.shift,
-        };
-        // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
-        let most = width_of(events.wrapping_sub(1)) + self.one_bits;
-        let bits = (width_of(spread >> (self.shift & 31)) + 1).min(most);
-        let code_bits = place.1 + (most - bits);
-        let code = place.0 | (1 << (code_bits & 31));
-        let code_bits = code_bits + 1;
-        if bits > 8 || code_bits > 32 {
-            return writer.aside(|writer| seven_wide(place, most, &levels, writer));
+        #[cfg(eecvs_dsp)]
+        if seven_dsp::put(self, position, counts, cosines, writer) {
+            return;
         }
-        let (three, four) = levels.side_by_side(bits);
-        writer.put_here(code, code_bits);
-        writer.put_here(three, 3 * bits);
-        writer.put_here(four, 4 * bits);
+        self.seven_portable(position, counts, cosines, writer);
+    }
+
+    #[cfg_attr(eecvs_dsp, cold)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    fn seven_portable(
+        &mut self,
+        position: (u16, u16),
+        (on, off): (u32, u32),
+        cosines: &Cosines,
+        writer: &mut BitWriter<'_>,
+    ) {
+        writer.aside(|writer| {
+            let (code, code_bits) = self.place_code(position, (on, off), writer);
+            let levels = Seven {
+                bits: cosines.sums(),
+                shift: self.shift,
+            };
+            // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
+            let most = width_of((on + off).wrapping_sub(1)) + self.one_bits;
+            let bits = (width_of(cosines.spread() >> (self.shift & 31)) + 1).min(most);
+            let width_bits = most - bits + 1;
+            if bits > 8 || code_bits + width_bits > 32 {
+                writer.put_clean(code, code_bits);
+                return seven_wide(most, &levels, writer);
+            }
+            let width = 1 << ((code_bits + width_bits - 1) & 31);
+            writer.put_here(code | width, code_bits + width_bits);
+            let (three, four) = levels.side_by_side(bits);
+            writer.put_here(three, 3 * bits);
+            writer.put_here(four, 4 * bits);
+        });
     }
 
     /// Which coefficients are sent, for the transforms that keep the largest.
@@ -172,35 +252,24 @@ impl Packer {
     #[inline(always)]
     pub fn single(
         &mut self,
-        position: (u16, u16),
+        (x, y): (u16, u16),
         is_on: bool,
         cell: u32,
         writer: &mut BitWriter<'_>,
     ) {
-        let gap = self.gap(position);
-        let (gap_code, gap_bits) = exp_golomb(gap, self.gap_order);
+        let shifted = self.gap.step(u32::from(y) * self.width + u32::from(x));
+        let (gap_code, gap_bits) = self.gap.code(shifted);
         let cells_log2 = self.cells_log2;
         // n - 1 = 0 is a one, and `on` a bit.
-        let bits = 2 + gap_bits + cells_log2;
+        let bits = gap_bits + 2 + cells_log2;
         if bits < 32 {
-            // The 1 above the gap's code is taken off the cell.
-            let cell = cell.wrapping_sub(1) << ((2 + gap_bits) & 31);
-            let code = (1 | (u32::from(is_on) << 1) | (gap_code << 2)).wrapping_add(cell);
-            writer.put_here(code, bits);
+            // The 1 above the gap's code is that of n.
+            let rest = (u32::from(is_on) + (cell << 1)) << ((gap_bits + 1) & 31);
+            writer.put_here(gap_code + rest, bits);
         } else {
-            writer.put_clean(1 | (u32::from(is_on) << 1), 2);
-            writer.put_exp_golomb(gap, self.gap_order);
-            writer.put_clean(cell, cells_log2);
+            let gap = self.gap;
+            single_long((gap, shifted), is_on, (cell, cells_log2), writer);
         }
-    }
-
-    /// From the pixel before to this one.
-    #[inline(always)]
-    const fn gap(&mut self, (x, y): (u16, u16)) -> u32 {
-        let index = y as u32 * self.packing.sensor.width as u32 + x as u32;
-        let gap = index.wrapping_sub(self.next_index);
-        self.next_index = index + 1;
-        gap
     }
 
     /// Bits of a single event's cell.
@@ -249,16 +318,10 @@ fn put_levels(most: u32, levels: &impl Levels, writer: &mut BitWriter<'_>) {
     levels.put(bits, writer);
 }
 
-/// [`Packer::seven_levels`] of any width.
+/// Levels of [`Packer::seven`] of any width.
 #[cold]
 #[inline(never)]
-fn seven_wide(
-    (code, code_bits): (u32, u32),
-    most: u32,
-    levels: &Seven<'_>,
-    writer: &mut BitWriter<'_>,
-) {
-    writer.put_clean(code, code_bits);
+fn seven_wide(most: u32, levels: &Seven<'_>, writer: &mut BitWriter<'_>) {
     let run = Run {
         sums: &levels.bits.map(rows::sum),
         shift: levels.shift - rows::MORE_BITS,
@@ -269,10 +332,28 @@ fn seven_wide(
 /// [`Packer::place`] where one word does not hold it.
 #[cold]
 #[inline(never)]
-fn place_long(gap: u32, (on, events): (u32, u32), gap_order: u32, writer: &mut BitWriter<'_>) {
+fn place_long(
+    (gap, shifted): (GapCode, u32),
+    (on, events): (u32, u32),
+    writer: &mut BitWriter<'_>,
+) {
+    gap.put(shifted, writer);
     writer.put_exp_golomb(events.wrapping_sub(1), 0);
     writer.put(on, width_of(events));
-    writer.put_exp_golomb(gap, gap_order);
+}
+
+/// [`Packer::single`] where one word does not hold it.
+#[cold]
+#[inline(never)]
+fn single_long(
+    (gap, shifted): (GapCode, u32),
+    is_on: bool,
+    (cell, cells_log2): (u32, u32),
+    writer: &mut BitWriter<'_>,
+) {
+    gap.put(shifted, writer);
+    writer.put_clean(1 | (u32::from(is_on) << 1), 2);
+    writer.put_clean(cell, cells_log2);
 }
 
 /// Whether `kept` is 0..`r` of a grid.
@@ -312,6 +393,222 @@ impl Levels for DescriptorLevels<'_> {
                 Transform::Dwt => each(level.re - i32::from(level.re > 0)),
             }
         }
+    }
+}
+
+/// [`Packer::seven`] with everything in registers.
+#[cfg(eecvs_dsp)]
+#[allow(unsafe_code)]
+mod seven_dsp {
+    use core::arch::naked_asm;
+    use core::mem::offset_of;
+
+    use super::{GapCode, Packer};
+    use crate::bits::{BitWriter, Position};
+    use crate::transform::rows::Cosines;
+
+    /// Words that [`put`] writes at the most: 32 bits, 70 of levels, and 31 that were there.
+    const WORDS_MAX: usize = 5;
+
+    /// The bits of [`Packer::seven_portable`]; `false`, and nothing has changed, where levels have
+    /// over 10 bits, the place over 31, or the output is nearly full.
+    #[inline(always)]
+    pub fn put(
+        packer: &mut Packer,
+        (x, y): (u16, u16),
+        (on, off): (u32, u32),
+        cosines: &Cosines,
+        writer: &mut BitWriter<'_>,
+    ) -> bool {
+        if !writer.has_words(WORDS_MAX) {
+            return false;
+        }
+        let index = u32::from(y) * packer.width + u32::from(x);
+        let counts = ((on + off) << 16) | on;
+        let (words, position) = writer.parts();
+        // SAFETY: `seven` writes `before` of `packer`, `position`, and up to `WORDS_MAX` words from
+        // the position on, which are there. The build script sets `eecvs_dsp` only for cores that
+        // have the instructions.
+        unsafe { seven(packer, index, counts, cosines, position, words.as_mut_ptr()) }
+    }
+
+    const _: () = assert!(offset_of!(Packer, gap) == 0 && offset_of!(GapCode, before) == 0);
+    const _: () = assert!(offset_of!(Packer, one_bits) == 16 && offset_of!(Packer, shift) == 20);
+    /// `counts` are n (2 to 64) << 16 and the ON events.
+    ///
+    /// # Safety
+    /// The words from `position.words` on are `WORDS_MAX` or more.
+    #[unsafe(naked)]
+    unsafe extern "C" fn seven(
+        packer: &mut Packer,
+        index: u32,
+        counts: u32,
+        cosines: &Cosines,
+        position: &mut Position,
+        words: *mut [u8; 4],
+    ) -> bool {
+        // Appends `$bits` bits of `$value`, which has no others; overwrites `$bits` and `$tmp`.
+        // r12: bits of the next word, lr: how many there are, r11: where the word goes.
+        macro_rules! put {
+            ($value:literal, $bits:literal, $tmp:literal) => {
+                concat!(
+                    "lsl ",
+                    $tmp,
+                    ", ",
+                    $value,
+                    ", lr\n",
+                    "orr r12, r12, ",
+                    $tmp,
+                    "\n",
+                    "add lr, ",
+                    $bits,
+                    "\n",
+                    "cmp lr, #32\n",
+                    "blo 2f\n",
+                    "str r12, [r11], #4\n",
+                    "sub lr, #32\n",
+                    "sub ",
+                    $bits,
+                    ", ",
+                    $bits,
+                    ", lr\n",
+                    // What the word had no room for; nothing where that is a shift by 32.
+                    "lsr r12, ",
+                    $value,
+                    ", ",
+                    $bits,
+                    "\n",
+                    "2:"
+                )
+            };
+        }
+        naked_asm!(
+            "push {{r4-r11, lr}}",
+            // r4: the code; r7: its bits. The gap first, and a 1 above it.
+            "ldm r0, {{r4-r7}}",
+            "subs r4, r1, r4",
+            "subs r1, r1, r5",
+            "clz r5, r4",
+            "subs r6, r6, r5",
+            "sub r7, r7, r5, lsl #1",
+            "adds r4, r4, r4",
+            "adds r4, #1",
+            "lsls r4, r6",
+            // n, whose code has its 1 from the gap's; r2: n, r12: ON events.
+            "uxth r12, r2",
+            "lsrs r2, r2, #16",
+            "clz r5, r2",
+            "rsb r5, r5, #31",
+            "adds r6, r2, r2",
+            "adds r6, #1",
+            "lsls r6, r5",
+            "subs r6, #1",
+            "lsls r6, r7",
+            "adds r4, r4, r6",
+            "adds r7, #1",
+            "add r7, r7, r5, lsl #1",
+            // ON events, with the 1 above n's code taken off.
+            "sub r12, r12, #1",
+            "lsl r12, r12, r7",
+            "add r4, r4, r12",
+            "adds r7, r7, r5",
+            "adds r7, #1",
+            // r5: bits of the widest level that there can be; r6: of the one that there is.
+            "subs r2, #1",
+            "clz r5, r2",
+            "ldrd r6, r8, [r0, #16]",
+            "rsb r5, r5, #32",
+            "adds r5, r5, r6",
+            "ldr r6, [r3, #{spread_at}]",
+            "lsrs r6, r8",
+            "clz r6, r6",
+            "rsb r6, r6, #33",
+            "cmp r6, r5",
+            "it hi",
+            "movhi r6, r5",
+            "cmp r6, #10",
+            "bhi 4f",
+            "subs r5, r5, r6",
+            "adds r7, r7, r5",
+            "movs r9, #1",
+            "lsl r5, r9, r7",
+            "orrs r4, r5",
+            "adds r7, #1",
+            "cmp r7, #32",
+            "bhi 4f",
+            // No way back from here.
+            "str r1, [r0]",
+            "ldrd r10, r0, [sp, #36]",
+            "ldm r10, {{r11, r12, lr}}",
+            "add r11, r0, r11, lsl #2",
+            "rsb lr, lr, #32",
+            put!("r4", "r7", "r5"),
+            // The first three levels; r9: 2^bits, r5: half of it, r4: the highest bit of each.
+            "add r10, r3, #{sums_at}",
+            "ldm r10!, {{r1-r3}}",
+            "asrs r1, r8",
+            "asrs r2, r8",
+            "asrs r3, r8",
+            "lsl r9, r9, r6",
+            "lsr r5, r9, #1",
+            "mla r2, r3, r9, r2",
+            "mla r4, r5, r9, r5",
+            "mla r1, r2, r9, r1",
+            "mla r4, r4, r9, r5",
+            // A negative level has borrowed from its neighbour, which half of a range more gives
+            // back.
+            "adds r1, r1, r4",
+            "eors r1, r4",
+            "add r7, r6, r6, lsl #1",
+            put!("r1", "r7", "r2"),
+            "cmp r6, #8",
+            "bhi 3f",
+            // The other four.
+            "ldm r10, {{r1, r2, r3, r7}}",
+            "asrs r1, r8",
+            "asrs r2, r8",
+            "asrs r3, r8",
+            "asrs r7, r8",
+            "mla r3, r7, r9, r3",
+            "mla r4, r4, r9, r5",
+            "mla r2, r3, r9, r2",
+            "mla r1, r2, r9, r1",
+            "adds r1, r1, r4",
+            "eors r1, r4",
+            "lsls r7, r6, #2",
+            put!("r1", "r7", "r2"),
+            "5:",
+            "ldrd r10, r0, [sp, #36]",
+            "sub r11, r11, r0",
+            "lsr r11, r11, #2",
+            "rsb lr, lr, #32",
+            "stm r10, {{r11, r12, lr}}",
+            "movs r0, #1",
+            "pop {{r4-r11, pc}}",
+            // Four of over 8 bits are more than a word: three and one.
+            "3:",
+            "ldm r10!, {{r1-r3}}",
+            "asrs r1, r8",
+            "asrs r2, r8",
+            "asrs r3, r8",
+            "mla r2, r3, r9, r2",
+            "mla r1, r2, r9, r1",
+            "adds r1, r1, r4",
+            "eors r1, r4",
+            "add r7, r6, r6, lsl #1",
+            put!("r1", "r7", "r2"),
+            "ldr r1, [r10]",
+            "asrs r1, r8",
+            "adds r1, r1, r5",
+            "eors r1, r5",
+            put!("r1", "r6", "r2"),
+            "b 5b",
+            "4:",
+            "movs r0, #0",
+            "pop {{r4-r11, pc}}",
+            sums_at = const Cosines::SUMS_AT,
+            spread_at = const Cosines::SUMS_AT + 28,
+        )
     }
 }
 

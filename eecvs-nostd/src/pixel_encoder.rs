@@ -155,18 +155,10 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) {
         trace.enter(Stage::Accumulate);
-        let spread = self.cosines.of(Impulses::new(*pixel, slots));
+        self.cosines.sum(Impulses::new(*pixel, slots));
         trace.enter(Stage::Pack);
-        writer.aside(|writer| {
-            let counts = (pixel.on, pixel.off);
-            let place = self.packer.place_code((pixel.x, pixel.y), counts, writer);
-            self.packer.seven_levels(
-                place,
-                pixel.on + pixel.off,
-                (self.cosines.sums(), spread),
-                writer,
-            );
-        });
+        let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
+        self.packer.seven(position, counts, &self.cosines, writer);
     }
 
     /// A pixel of several chunks.

@@ -55,6 +55,11 @@ impl Packing {
         events_left: u32,
         reader: &mut BitReader<'_>,
     ) -> Result<Descriptor, UnpackError> {
+        let gap = reader.get_exp_golomb(self.gap_order())?;
+        let index = next_index.checked_add(gap).ok_or(UnpackError::Position)?;
+        if index >= self.sensor.pixels() {
+            return Err(UnpackError::Position);
+        }
         let more = reader.get_exp_golomb(0)?;
         if more >= events_left {
             return Err(UnpackError::Events);
@@ -62,11 +67,6 @@ impl Packing {
         let events = more + 1;
         let on = reader.get(width_of(events))?;
         let off = events.checked_sub(on).ok_or(UnpackError::Events)?;
-        let gap = reader.get_exp_golomb(self.gap_order())?;
-        let index = next_index.checked_add(gap).ok_or(UnpackError::Position)?;
-        if index >= self.sensor.pixels() {
-            return Err(UnpackError::Position);
-        }
         let coded = if events == 1 {
             Coded::Cell(reader.get(self.cells_log2())?)
         } else {
@@ -209,9 +209,9 @@ mod tests {
     fn unpack(packing: Packing, on: u32, fields: &[(u32, u32)]) -> Result<Descriptor, UnpackError> {
         let mut bytes = [0; 64];
         let mut writer = BitWriter::new(&mut bytes);
+        writer.put_exp_golomb(0, 0);
         writer.put_exp_golomb(on - 1, 0);
         writer.put(on, width_of(on));
-        writer.put_exp_golomb(0, 0);
         for (value, bits) in fields {
             writer.put(*value, *bits);
         }

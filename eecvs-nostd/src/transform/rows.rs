@@ -108,6 +108,7 @@ pub struct Cosines {
     reciprocal: u32,
     lines: &'static [[Line; ATOMS]; ROWS],
     sums: [i32; ATOMS],
+    spread: u32,
 }
 
 impl Cosines {
@@ -120,26 +121,37 @@ impl Cosines {
             reciprocal,
             lines: &LINES,
             sums: [0; ATOMS],
+            spread: 0,
         }
     }
 
-    /// The sums that [`Self::of`] gave last.
+    /// The sums that [`Self::sum`] made last.
     #[inline(always)]
     #[must_use]
     pub const fn sums(&self) -> &[i32; ATOMS] {
         &self.sums
     }
 
-    /// Sums over the events of a pixel, at most [`CHUNK_EVENTS`]; returns the bits that are not
-    /// copies of the sign, of any of them.
+    /// The bits that are not copies of the sign, of any of them.
+    #[inline(always)]
+    #[must_use]
+    pub const fn spread(&self) -> u32 {
+        self.spread
+    }
+
+    /// Where [`Self::sums`] are, and [`Self::spread`] after them.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const SUMS_AT: usize = core::mem::offset_of!(Cosines, sums);
+
+    /// Sums up the events of a pixel, at most [`CHUNK_EVENTS`].
     #[cfg(not(eecvs_dsp))]
-    pub(crate) fn of(&mut self, impulses: Impulses<'_>) -> u32 {
+    pub(crate) fn sum(&mut self, impulses: Impulses<'_>) {
         let (shift, reciprocal) = (self.shift, self.reciprocal);
         self.sums = cosines(impulses, |impulse| {
             PhaseScale::half_of(impulse.offset_us, shift, reciprocal)
         });
         let spread = |all, sum: &i32| all | (sum ^ (sum >> 31));
-        self.sums.iter().fold(0, spread) as u32
+        self.spread = self.sums.iter().fold(0, spread) as u32;
     }
 
     /// The same bits with all sums in registers, which leaves the compiler too few for the rest: it
@@ -147,28 +159,23 @@ impl Cosines {
     #[cfg(eecvs_dsp)]
     #[allow(unsafe_code)]
     #[inline(always)]
-    pub(crate) fn of(&mut self, impulses: Impulses<'_>) -> u32 {
+    pub(crate) fn sum(&mut self, impulses: Impulses<'_>) {
         let (slots, next) = impulses.parts();
         // SAFETY: `cosines_dsp` reads slots of an index below their number alone, reads the table
-        // at rows below 512, and writes `sums` of `self`. The build script sets `eecvs_dsp` only
+        // at rows below 512, and writes `sums` and `spread` of `self`. The build script sets `eecvs_dsp` only
         // for cores that have the instructions.
         unsafe { cosines_dsp(slots.as_ptr(), slots.len(), next.wrapping_sub(1), self) }
     }
 }
 
-/// [`Cosines::of`] from the slot at `index` on, as [`Weighted::new`] and [`Weighted::add`] have it.
+/// [`Cosines::sum`] from the slot at `index` on, as [`Weighted::new`] and [`Weighted::add`] have it.
 ///
 /// # Safety
 /// `slots` is the first of `len`, and the core has the DSP instructions.
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
 #[unsafe(naked)]
-unsafe extern "C" fn cosines_dsp(
-    slots: *const Slot,
-    len: usize,
-    index: u32,
-    work: &mut Cosines,
-) -> u32 {
+unsafe extern "C" fn cosines_dsp(slots: *const Slot, len: usize, index: u32, work: &mut Cosines) {
     core::arch::naked_asm!(
         "push {{r4-r11, lr}}",
         "mov lr, r2",
@@ -243,7 +250,8 @@ unsafe extern "C" fn cosines_dsp(
         "orrs r0, r1",
         "ldr r1, [sp, #4]",
         "adds r1, #12",
-        "stm r1, {{r4-r10}}",
+        "stm r1!, {{r4-r10}}",
+        "str r0, [r1]",
         "add sp, #20",
         "pop {{r4-r11, pc}}",
         distance_at = const 30 - ROWS_LOG2 - DISTANCE_BITS,
@@ -258,7 +266,7 @@ unsafe extern "C" fn cosines_dsp(
 // What the assembly takes for granted.
 const _: () = assert!(size_of::<Slot>() == 8 && ATOMS == 7);
 #[cfg(eecvs_dsp)]
-const _: () = assert!(core::mem::offset_of!(Cosines, sums) == 12);
+const _: () = assert!(Cosines::SUMS_AT == 12);
 
 /// The bits of one of [`cosines`] as a number; rounds down.
 #[inline(always)]
