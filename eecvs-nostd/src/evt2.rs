@@ -10,10 +10,13 @@ use crate::event::{Event, Polarity};
 
 const CD_ON: u32 = 1;
 /// What is below is an event: `CD_OFF` and `CD_ON` are the lowest types.
-pub(crate) const EVENTS_END: u32 = (CD_ON + 1) << KIND_SHIFT;
+const EVENTS_END: u32 = (CD_ON + 1) << KIND_SHIFT;
+/// Bits that no event has, and every other word has some of.
+pub(crate) const NO_EVENT: u32 = !(EVENTS_END - 1);
+const _: () = assert!(EVENTS_END.is_power_of_two());
 /// The type, which is the polarity of an event.
 pub(crate) const KIND_SHIFT: u32 = 28;
-pub(crate) const LOW_SHIFT: u32 = 22;
+const LOW_SHIFT: u32 = 22;
 pub(crate) const X_SHIFT: u32 = 11;
 pub(crate) const SIDE_BITS: u32 = 11;
 pub(crate) const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
@@ -84,19 +87,24 @@ impl Evt2Decoder {
         }
     }
 
-    /// Takes a `TIME_HIGH` that is less than 2^32 us after the current one, and returns how much;
-    /// takes no other word.
+    /// The times from the current one on to `ahead_us` later, for a run of words.
     #[inline]
-    pub(crate) fn advance(&mut self, word: u32) -> Option<u32> {
-        let high = word & HIGH_MASK;
-        let step = high.checked_sub(self.high?)?;
-        if word >> KIND_SHIFT != TIME_HIGH || step > u32::MAX >> LOW_BITS {
-            return None;
+    pub(crate) fn times(&self, ahead_us: u32) -> Times {
+        let word = (TIME_HIGH << KIND_SHIFT) | self.high.unwrap_or(0);
+        let last = (TIME_HIGH << KIND_SHIFT) | HIGH_MASK;
+        Times {
+            first: word,
+            word,
+            last: word.saturating_add(ahead_us >> LOW_BITS).min(last),
         }
-        let step_us = step << LOW_BITS;
-        self.high = Some(high);
+    }
+
+    /// Takes the time that `times` has come to.
+    #[inline]
+    pub(crate) fn step(&mut self, times: &Times) {
+        let step_us = (times.word - times.first) << LOW_BITS;
+        self.high = Some(times.word & HIGH_MASK);
         self.time_us = self.time_us.wrapping_add(u64::from(step_us));
-        Some(step_us)
     }
 
     /// Takes the next word.
@@ -140,6 +148,50 @@ impl Evt2Decoder {
             }
         }
         self.time_us = zero_us.wrapping_add(now_us);
+    }
+}
+
+/// y of an event's word: the word's lowest bits, in one instruction.
+#[cfg(eecvs_dsp)]
+#[allow(unsafe_code)]
+#[inline(always)]
+pub(crate) fn y_of(word: u32) -> u32 {
+    let y;
+    // SAFETY: reads a register and writes another.
+    unsafe {
+        core::arch::asm!("ubfx {}, {}, #0, {bits}", lateout(reg) y, in(reg) word, bits = const SIDE_BITS,
+            options(pure, nomem, nostack, preserves_flags));
+    }
+    y
+}
+
+#[cfg(not(eecvs_dsp))]
+#[inline(always)]
+pub(crate) fn y_of(word: u32) -> u32 {
+    word & SIDE_MASK
+}
+
+/// Steps forwards from a decoder's time, in a run of words: [`Evt2Decoder::times`].
+#[derive(Debug)]
+pub(crate) struct Times {
+    /// The decoder's `TIME_HIGH`.
+    first: u32,
+    /// The one after the steps.
+    word: u32,
+    /// The last one to step to, less than 2^32 us after the first.
+    last: u32,
+}
+
+impl Times {
+    /// Takes a `TIME_HIGH` that is not before the one at hand, and returns its distance from the
+    /// first in microseconds; takes no other word.
+    #[inline(always)]
+    pub(crate) fn step_us(&mut self, word: u32) -> Option<u32> {
+        if word < self.word || word > self.last {
+            return None;
+        }
+        self.word = word;
+        Some((word - self.first) << LOW_BITS)
     }
 }
 

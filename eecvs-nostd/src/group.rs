@@ -111,7 +111,7 @@ impl Group {
         while let Some(slot) = slots.get_mut(head.wrapping_sub(1) as usize) {
             let column = slot.column();
             columns |= 1 << column;
-            self.counts[slot.column_and_sign() as usize] += 1;
+            self.counts[(2 * column + slot.sign()) as usize % 64] += 1;
             let first = mem::replace(&mut self.heads[column as usize], head);
             head = slot.next();
             *slot = slot.with_next(first);

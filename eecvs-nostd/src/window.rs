@@ -5,8 +5,10 @@ use core::num::NonZeroU32;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use crate::event::{Event, Sensor};
+use crate::fixed_point::mul_add;
 use crate::evt2::{
-    EVENTS_END, Evt2Decoder, KIND_SHIFT, SIDE_BITS, SIDE_MASK, SPAN_US, Word, X_SHIFT, low_us,
+    y_of,
+    Evt2Decoder, KIND_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, SPAN_US, Word, X_SHIFT, low_us,
 };
 
 /// One buffered event: 8 bytes. All zero is a valid empty slot, so buffers live in `.bss`.
@@ -18,11 +20,23 @@ use crate::evt2::{
 pub struct Slot {
     /// t - t0 in microseconds.
     offset_us: u32,
-    /// Index + 1 of the next slot of the list (26 bits), x modulo 32 (5 bits), polarity (1 bit).
+    /// From the top: index + 1 of the next slot of the list, x modulo 32 (5 bits), and in the
+    /// lowest bits the polarity.
     link: u32,
 }
 
-const LINK_SHIFT: u32 = 6;
+/// Where a link's parts begin. On a microcontroller the next slot, of 16 bits, and x are where a
+/// halfword and an EVT 2.0 word have them, and the polarity has a byte for itself.
+#[cfg(all(target_os = "none", target_pointer_width = "32"))]
+const LINK: (u32, u32) = (16, X_SHIFT);
+#[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
+const LINK: (u32, u32) = (8, 3);
+const NEXT_SHIFT: u32 = LINK.0;
+const COLUMN_SHIFT: u32 = LINK.1;
+/// The polarity's bits, of which the lowest is in use.
+const SIGN_BITS: u32 = if COLUMN_SHIFT < 8 { COLUMN_SHIFT } else { 8 };
+const _: () = assert!(COLUMN_SHIFT <= X_SHIFT && COLUMN_SHIFT + COLUMN_BITS <= NEXT_SHIFT);
+const _: () = assert!(SLOTS_MAX <= u32::MAX as usize >> NEXT_SHIFT);
 
 impl Slot {
     /// An empty slot.
@@ -31,13 +45,12 @@ impl Slot {
         link: 0,
     };
 
-    /// `next` as [`Self::next`], `on` 0 or 1.
+    /// `next` as [`Self::next`]; `x_and_sign` is x from bit [`COLUMN_SHIFT`] on, plus 1 for ON.
     #[inline]
-    const fn new(offset_us: u32, next: u32, x: u32, on: u32) -> Self {
-        let column = x % SEGMENT_PIXELS as u32;
+    const fn new(offset_us: u32, next: u32, x_and_sign: u32) -> Self {
         Self {
             offset_us,
-            link: (next << LINK_SHIFT) | (column << 1) | on,
+            link: (next << NEXT_SHIFT) | (x_and_sign & ((1 << NEXT_SHIFT) - 1)),
         }
     }
 
@@ -47,25 +60,21 @@ impl Slot {
 
     /// Index + 1 of the next slot, 0 at the end of the list.
     pub(crate) const fn next(self) -> u32 {
-        self.link >> LINK_SHIFT
+        self.link >> NEXT_SHIFT
     }
 
     pub(crate) const fn with_next(self, next: u32) -> Self {
-        let kept = self.column_and_sign();
-        Self {
-            offset_us: self.offset_us,
-            link: (next << LINK_SHIFT) | kept,
-        }
-    }
-
-    /// 2 (x modulo 32), plus 1 where it is ON.
-    pub(crate) const fn column_and_sign(self) -> u32 {
-        self.link & ((1 << LINK_SHIFT) - 1)
+        Self::new(self.offset_us, next, self.link)
     }
 
     /// x modulo 32.
     pub(crate) const fn column(self) -> u32 {
-        (self.link >> 1) & 31
+        (self.link >> COLUMN_SHIFT) % SEGMENT_PIXELS as u32
+    }
+
+    /// 1 for ON, 0 for OFF.
+    pub(crate) const fn sign(self) -> u32 {
+        self.link & ((1 << SIGN_BITS) - 1)
     }
 
     pub(crate) const fn is_on(self) -> bool {
@@ -365,7 +374,9 @@ impl<'b> Window<'b> {
         if next == 0 {
             self.marks.add(segment);
         }
-        *slot = Slot::new(offset_us, next, x, event.polarity as u32);
+        let column = x % u32::from(SEGMENT_PIXELS);
+        let column_and_sign = (column << COLUMN_SHIFT) | event.polarity as u32;
+        *slot = Slot::new(offset_us, next, column_and_sign);
         self.len += 1;
         *head = self.len as Head;
         self.latest.event_us = self.latest.event_us.max(offset_us);
@@ -423,18 +434,20 @@ impl<'b> Window<'b> {
     }
 
     /// Stores events on the sensor while there are slots, `span_us` being the offset of the
-    /// decoder's time, and follows that time while it lies in the window; returns how many words
-    /// it took.
+    /// decoder's time, and follows that time forwards while it lies in the window; returns how many
+    /// words it took.
     #[inline(never)]
     fn store_words(
         &mut self,
         decoder: &mut Evt2Decoder,
-        mut span_us: u32,
+        span_us: u32,
         words: &[[u8; 4]],
     ) -> usize {
-        let end_us = self.whole_spans_end_us();
-        // x is compared where it is the upper bits of a word.
-        let width = u32::from(self.config.sensor.width) << (32 - SIDE_BITS);
+        let mut times = decoder.times((self.whole_spans_end_us() - 1).saturating_sub(span_us));
+        let start_us = span_us;
+        let mut span_us = span_us;
+        // x is compared where it is in a word, together with the bits that an event has not.
+        let width = u32::from(self.config.sensor.width) << X_SHIFT;
         let stride = self.stride.get();
         let heads = &mut *self.heads;
         let slots = &mut *self.slots;
@@ -445,12 +458,12 @@ impl<'b> Window<'b> {
             let span_at = len;
             for (word, slot) in rest.iter().zip(free) {
                 let word = u32::from_le_bytes(*word);
-                if word >= EVENTS_END || word << (32 - SIDE_BITS - X_SHIFT) >= width {
+                let x = word & (NO_EVENT | (SIDE_MASK << X_SHIFT) | SIDE_MASK);
+                if x >= width {
                     break;
                 }
                 // An x on the sensor makes the segment's index tell whether y is.
-                let segment = (word & SIDE_MASK) * stride
-                    + ((word >> (X_SHIFT + COLUMN_BITS)) & (SIDE_MASK >> COLUMN_BITS));
+                let segment = mul_add(y_of(word) as i32, stride as i32, (x >> (X_SHIFT + COLUMN_BITS)) as i32) as u32;
                 let Some(head) = heads.get_mut(segment as usize) else {
                     break;
                 };
@@ -458,12 +471,9 @@ impl<'b> Window<'b> {
                 if next == 0 {
                     self.marks.add(segment);
                 }
-                *slot = Slot::new(
-                    span_us + low_us(word),
-                    next,
-                    word >> X_SHIFT,
-                    word >> KIND_SHIFT,
-                );
+                let x = (word >> (X_SHIFT - COLUMN_SHIFT)) & (31 << COLUMN_SHIFT);
+                let x_and_sign = x | (word >> KIND_SHIFT);
+                *slot = Slot::new(span_us + low_us(word), next, x_and_sign);
                 len += 1;
                 *head = len as Head;
             }
@@ -472,16 +482,14 @@ impl<'b> Window<'b> {
             let Some((word, after)) = rest.split_first() else {
                 break;
             };
-            let Some(step_us) = decoder.advance(u32::from_le_bytes(*word)) else {
+            let Some(step_us) = times.step_us(u32::from_le_bytes(*word)) else {
                 break;
             };
+            span_us = start_us + step_us;
             rest = after;
-            match span_us.checked_add(step_us) {
-                Some(next_us) if next_us < end_us => span_us = next_us,
-                _ => break,
-            }
         }
         self.len = len;
+        decoder.step(&times);
         words.len() - rest.len()
     }
 
@@ -579,17 +587,11 @@ impl<'b> Window<'b> {
     /// The cost follows the segments that have events and 1/1024 of all segments.
     #[inline]
     pub(crate) fn take_segments(&mut self, cursor: &mut usize) -> Option<(u32, u32)> {
-        while let Some(words) = self.marks.summary.get_mut(*cursor) {
-            if *words == 0 {
-                *cursor += 1;
-                continue;
-            }
-            let word = *cursor * 32 + words.trailing_zeros() as usize;
-            *words &= *words - 1;
-            let bits = core::mem::take(self.marks.bitmap.get_mut(word)?);
-            return Some((word as u32 * 32, bits));
-        }
-        None
+        let words = self.marks.bitmap.get_mut(*cursor..)?;
+        let at = words.iter().position(|bits| *bits != 0)?;
+        let segment = (*cursor + at) as u32 * 32;
+        *cursor += at + 1;
+        Some((segment, core::mem::take(words.get_mut(at)?)))
     }
 
     /// Takes a segment's list: index + 1 of its newest event.
@@ -662,19 +664,13 @@ struct Marks<'b> {
 }
 
 impl Marks<'_> {
-    /// Notes that a segment has events. Not inlined: it is rarer than events, whose loop needs
-    /// every register.
-    #[inline(never)]
+    /// Notes that a segment has events.
+    #[inline(always)]
     fn add(&mut self, segment: u32) {
         let word = segment / 32;
         let Some(bits) = self.bitmap.get_mut(word as usize) else {
             return;
         };
-        if *bits == 0
-            && let Some(words) = self.summary.get_mut(word as usize / 32)
-        {
-            *words |= 1 << (word % 32);
-        }
         *bits |= 1 << (segment % 32);
     }
 }
