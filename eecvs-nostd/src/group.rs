@@ -5,6 +5,7 @@
 //! column lists; since the segment's list is newest first, each column's comes out oldest first.
 
 use core::mem;
+use core::num::NonZeroU32;
 
 use crate::transform::Impulse;
 use crate::window::{Head, SEGMENT_PIXELS, Slot, Window, index};
@@ -26,7 +27,11 @@ pub struct Pixel {
 }
 
 /// The walk over a window's pixels.
+///
+/// The cells come last: all of a cell's numbers are then at a distance from a base and a column, and
+/// are loaded and stored as one.
 #[derive(Debug)]
+#[repr(C)]
 pub struct Group {
     cursor: usize,
     /// First of the 32 segments at hand.
@@ -37,10 +42,41 @@ pub struct Group {
     segment_y: u16,
     /// Columns of the current segment still to be visited.
     columns: u32,
-    /// By column, index + 1 of its first event; 0 where `columns` has no bit.
-    heads: [u32; 32],
-    /// By column, OFF and ON events: no more than a window has slots; 0 where it has none.
-    counts: [Head; 64],
+    /// By column; empty where `columns` has no bit.
+    cells: [Cell; 32],
+}
+
+/// What is known of a column.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    /// Index + 1 of its first event, 0 where it has none.
+    head: u32,
+    /// Its events in the upper half, those that are ON in the lower: no more than a window has
+    /// slots.
+    tally: Tally,
+}
+
+/// Two [`Head`]s in one.
+#[cfg(all(target_os = "none", target_pointer_width = "32"))]
+type Tally = u32;
+#[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
+type Tally = u64;
+/// One event.
+const EVENT: Tally = 1 << Head::BITS;
+const _: () = assert!(Tally::BITS == 2 * Head::BITS);
+
+impl Cell {
+    const EMPTY: Self = Self { head: 0, tally: 0 };
+
+    #[inline(always)]
+    const fn on(self) -> u32 {
+        index(self.tally as Head)
+    }
+
+    #[inline(always)]
+    const fn events(self) -> u32 {
+        (self.tally >> Head::BITS) as u32
+    }
 }
 
 impl Group {
@@ -54,8 +90,7 @@ impl Group {
             segment_x: 0,
             segment_y: 0,
             columns: 0,
-            heads: [0; 32],
-            counts: [0; 64],
+            cells: [Cell::EMPTY; 32],
         }
     }
 
@@ -67,18 +102,19 @@ impl Group {
     /// The next pixel; `None` after the last.
     #[inline]
     pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
-        if self.columns == 0 {
-            self.next_segment(window)?;
-        }
-        let column = self.columns.trailing_zeros();
-        self.columns &= self.columns.wrapping_sub(1);
-        let i = column as usize % 32;
+        let columns = match NonZeroU32::new(self.columns) {
+            Some(columns) => columns,
+            None => self.next_segment(window)?,
+        };
+        let column = columns.trailing_zeros();
+        self.columns = columns.get() & (columns.get() - 1);
+        let cell = mem::replace(&mut self.cells[column as usize % 32], Cell::EMPTY);
         Some(Pixel {
             x: self.segment_x + column as u16,
             y: self.segment_y,
-            on: index(mem::take(&mut self.counts[2 * i + 1])),
-            off: index(mem::take(&mut self.counts[2 * i])),
-            head: mem::take(&mut self.heads[i]),
+            on: cell.on(),
+            off: cell.events() - cell.on(),
+            head: cell.head,
         })
     }
 
@@ -86,12 +122,15 @@ impl Group {
     pub const fn put_back(&mut self, pixel: Pixel) {
         let i = (pixel.x % SEGMENT_PIXELS) as usize;
         self.columns |= 1 << i;
-        self.heads[i] = pixel.head;
-        self.counts[2 * i] = pixel.off as Head;
-        self.counts[2 * i + 1] = pixel.on as Head;
+        self.cells[i] = Cell {
+            head: pixel.head,
+            tally: (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally,
+        };
     }
 
-    fn next_segment(&mut self, window: &mut Window<'_>) -> Option<()> {
+    /// Goes to the next segment and returns its columns.
+    #[inline(never)]
+    fn next_segment(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
         if self.segments == 0 {
             (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;
         }
@@ -99,24 +138,24 @@ impl Group {
         self.segments &= self.segments.wrapping_sub(1);
         (self.segment_x, self.segment_y) = window.segment_origin(segment);
         let head = window.take_head(segment);
-        self.deal(head, window.slots());
-        Some(())
+        NonZeroU32::new(self.deal(head, window.slots()))
     }
 
-    /// Turns a segment's list into one for each column.
-    #[inline]
-    fn deal(&mut self, mut head: u32, slots: &mut [Slot]) {
+    /// Turns a segment's list into one for each column; returns the columns.
+    #[inline(always)]
+    fn deal(&mut self, mut head: u32, slots: &mut [Slot]) -> u32 {
         let mut columns = 0;
         // A list ends with 0, whose index there is none of.
         while let Some(slot) = slots.get_mut(head.wrapping_sub(1) as usize) {
             let column = slot.column();
             columns |= 1 << column;
-            self.counts[(2 * column + slot.sign()) as usize % 64] += 1;
-            let first = mem::replace(&mut self.heads[column as usize], head);
+            let cell = &mut self.cells[column as usize];
+            cell.tally += EVENT + Tally::from(slot.sign());
+            let first = mem::replace(&mut cell.head, head);
             head = slot.next();
             *slot = slot.with_next(first);
         }
-        self.columns = columns;
+        columns
     }
 }
 
