@@ -8,7 +8,7 @@ use core::mem;
 use core::num::NonZeroU32;
 
 use crate::transform::Impulse;
-use crate::window::{Head, SEGMENT_PIXELS, Slot, Window, index};
+use crate::window::{Head, NO_SLOT, SEGMENT_PIXELS, Slot, Window, index};
 
 /// A pixel with events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,16 +22,12 @@ pub struct Pixel {
     pub on: u32,
     /// OFF events.
     pub off: u32,
-    /// Index + 1 of its first event.
+    /// Slot of its first event.
     head: u32,
 }
 
 /// The walk over a window's pixels.
-///
-/// The cells come last: all of a cell's numbers are then at a distance from a base and a column, and
-/// are loaded and stored as one.
 #[derive(Debug)]
-#[repr(C)]
 pub struct Group {
     cursor: usize,
     /// First of the 32 segments at hand.
@@ -42,21 +38,13 @@ pub struct Group {
     segment_y: u16,
     /// Columns of the current segment still to be visited.
     columns: u32,
-    /// By column; empty where `columns` has no bit.
-    cells: [Cell; 32],
+    /// By column, its first event; [`NO_SLOT`] where `columns` has no bit.
+    heads: [u32; 32],
+    /// By column, its events; 0 where `columns` has no bit.
+    tallies: [Tally; 32],
 }
 
-/// What is known of a column.
-#[derive(Debug, Clone, Copy)]
-struct Cell {
-    /// Index + 1 of its first event, 0 where it has none.
-    head: u32,
-    /// Its events in the upper half, those that are ON in the lower: no more than a window has
-    /// slots.
-    tally: Tally,
-}
-
-/// Two [`Head`]s in one.
+/// Events in the upper half, those that are ON in the lower: no more than a window has slots.
 #[cfg(all(target_os = "none", target_pointer_width = "32"))]
 type Tally = u32;
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
@@ -64,20 +52,6 @@ type Tally = u64;
 /// One event.
 const EVENT: Tally = 1 << Head::BITS;
 const _: () = assert!(Tally::BITS == 2 * Head::BITS);
-
-impl Cell {
-    const EMPTY: Self = Self { head: 0, tally: 0 };
-
-    #[inline(always)]
-    const fn on(self) -> u32 {
-        index(self.tally as Head)
-    }
-
-    #[inline(always)]
-    const fn events(self) -> u32 {
-        (self.tally >> Head::BITS) as u32
-    }
-}
 
 impl Group {
     /// A walk that has not started.
@@ -90,7 +64,8 @@ impl Group {
             segment_x: 0,
             segment_y: 0,
             columns: 0,
-            cells: [Cell::EMPTY; 32],
+            heads: [NO_SLOT; 32],
+            tallies: [0; 32],
         }
     }
 
@@ -108,13 +83,15 @@ impl Group {
         };
         let column = columns.trailing_zeros();
         self.columns = columns.get() & (columns.get() - 1);
-        let cell = mem::replace(&mut self.cells[column as usize % 32], Cell::EMPTY);
+        let i = column as usize % 32;
+        let tally = mem::take(&mut self.tallies[i]);
+        let on = index(tally as Head);
         Some(Pixel {
             x: self.segment_x + column as u16,
             y: self.segment_y,
-            on: cell.on(),
-            off: cell.events() - cell.on(),
-            head: cell.head,
+            on,
+            off: (tally >> Head::BITS) as u32 - on,
+            head: mem::replace(&mut self.heads[i], NO_SLOT),
         })
     }
 
@@ -122,10 +99,8 @@ impl Group {
     pub const fn put_back(&mut self, pixel: Pixel) {
         let i = (pixel.x % SEGMENT_PIXELS) as usize;
         self.columns |= 1 << i;
-        self.cells[i] = Cell {
-            head: pixel.head,
-            tally: (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally,
-        };
+        self.heads[i] = pixel.head;
+        self.tallies[i] = (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally;
     }
 
     /// Goes to the next segment and returns its columns.
@@ -145,13 +120,12 @@ impl Group {
     #[inline(always)]
     fn deal(&mut self, mut head: u32, slots: &mut [Slot]) -> u32 {
         let mut columns = 0;
-        // A list ends with 0, whose index there is none of.
-        while let Some(slot) = slots.get_mut(head.wrapping_sub(1) as usize) {
+        // A list ends with `NO_SLOT`, which no buffer has.
+        while let Some(slot) = slots.get_mut(head as usize) {
             let column = slot.column();
             columns |= 1 << column;
-            let cell = &mut self.cells[column as usize];
-            cell.tally += EVENT + Tally::from(slot.sign());
-            let first = mem::replace(&mut cell.head, head);
+            self.tallies[column as usize] += EVENT + Tally::from(slot.sign());
+            let first = mem::replace(&mut self.heads[column as usize], head);
             head = slot.next();
             *slot = slot.with_next(first);
         }
@@ -189,8 +163,7 @@ impl Iterator for Impulses<'_> {
 
     #[inline(always)]
     fn next(&mut self) -> Option<Impulse> {
-        // 0, the end of the list, is turned into an index beyond any buffer.
-        let slot = self.slots.get(self.next.wrapping_sub(1) as usize)?;
+        let slot = self.slots.get(self.next as usize)?;
         self.next = slot.next();
         Some(Impulse {
             offset_us: slot.offset_us(),

@@ -20,7 +20,7 @@ use crate::evt2::{
 pub struct Slot {
     /// t - t0 in microseconds.
     offset_us: u32,
-    /// From the top: index + 1 of the next slot of the list, x modulo 32 (5 bits), and in the
+    /// From the top: the next slot of the list, x modulo 32 (5 bits), and in the
     /// lowest bits the polarity.
     link: u32,
 }
@@ -36,7 +36,6 @@ const COLUMN_SHIFT: u32 = LINK.1;
 /// The polarity's bits, of which the lowest is in use.
 const SIGN_BITS: u32 = if COLUMN_SHIFT < 8 { COLUMN_SHIFT } else { 8 };
 const _: () = assert!(COLUMN_SHIFT <= X_SHIFT && COLUMN_SHIFT + COLUMN_BITS <= NEXT_SHIFT);
-const _: () = assert!(SLOTS_MAX <= u32::MAX as usize >> NEXT_SHIFT);
 
 impl Slot {
     /// An empty slot.
@@ -58,7 +57,7 @@ impl Slot {
         self.offset_us
     }
 
-    /// Index + 1 of the next slot, 0 at the end of the list.
+    /// The next slot, [`NO_SLOT`] at the end of the list.
     pub(crate) const fn next(self) -> u32 {
         self.link >> NEXT_SHIFT
     }
@@ -90,12 +89,19 @@ pub const SEGMENT_PIXELS: u16 = 1 << COLUMN_BITS;
 /// 26 bits of a link address them.
 pub const EVENTS_MAX: usize = (1 << 24) - 1;
 
-/// Index + 1 of a slot. On a microcontroller, whose windows are short, 16 bits halve the heads.
+/// A slot, all ones for none. On a microcontroller, whose windows are short, 16 bits halve the heads.
 #[cfg(all(target_os = "none", target_pointer_width = "32"))]
 pub type Head = u16;
-/// Index + 1 of a slot.
+/// A slot, all ones for none.
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
 pub type Head = u32;
+
+/// The end of a list: where the next slot would be, all ones. Of no window, none has as many slots.
+pub(crate) const NO_SLOT: u32 = u32::MAX >> NEXT_SHIFT;
+const _: () = assert!(SLOTS_MAX <= NO_SLOT as usize);
+
+/// The head of an empty list.
+const NO_HEAD: Head = NO_SLOT as Head;
 
 /// Most slots of a window on this target: [`EVENTS_MAX`], or what a [`Head`] can address.
 pub const SLOTS_MAX: usize = if (Head::MAX as usize) < EVENTS_MAX {
@@ -305,6 +311,11 @@ impl<'b> Window<'b> {
             return None;
         };
         let (heads, _) = heads.split_at_mut(segments);
+        let mut segment = 0;
+        while segment < segments {
+            heads[segment] = NO_HEAD;
+            segment += 1;
+        }
         let (bitmap, summary) = bitmap.split_at_mut(segments.div_ceil(32));
         Some(Self {
             config,
@@ -371,14 +382,14 @@ impl<'b> Window<'b> {
             return;
         };
         let next = index(*head);
-        if next == 0 {
+        if *head == NO_HEAD {
             self.marks.add(segment);
         }
         let column = x % u32::from(SEGMENT_PIXELS);
         let column_and_sign = (column << COLUMN_SHIFT) | event.polarity as u32;
         *slot = Slot::new(offset_us, next, column_and_sign);
-        self.len += 1;
         *head = self.len as Head;
+        self.len += 1;
         self.latest.event_us = self.latest.event_us.max(offset_us);
     }
 
@@ -468,14 +479,14 @@ impl<'b> Window<'b> {
                     break;
                 };
                 let next = index(*head);
-                if next == 0 {
+                if *head == NO_HEAD {
                     self.marks.add(segment);
                 }
                 let x = (word >> (X_SHIFT - COLUMN_SHIFT)) & (31 << COLUMN_SHIFT);
                 let x_and_sign = x | (word >> KIND_SHIFT);
                 *slot = Slot::new(span_us + low_us(word), next, x_and_sign);
-                len += 1;
                 *head = len as Head;
+                len += 1;
             }
             self.latest.span(span_us, span_at, len);
             rest = rest.get((len - span_at) as usize..).unwrap_or_default();
@@ -594,11 +605,11 @@ impl<'b> Window<'b> {
         Some((segment, core::mem::take(words.get_mut(at)?)))
     }
 
-    /// Takes a segment's list: index + 1 of its newest event.
+    /// Takes a segment's list: the slot of its newest event.
     #[inline]
     pub(crate) fn take_head(&mut self, segment: u32) -> u32 {
         let head = self.heads.get_mut(segment as usize);
-        head.map_or(0, |head| index(core::mem::take(head)))
+        head.map_or(NO_SLOT, |head| index(core::mem::replace(head, NO_HEAD)))
     }
 
     /// The buffered events.
