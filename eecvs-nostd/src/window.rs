@@ -479,7 +479,8 @@ impl<'b> Window<'b> {
                     break;
                 };
                 let next = index(*head);
-                if *head == NO_HEAD {
+                // None is more than any slot.
+                if next >= len {
                     self.marks.add(segment);
                 }
                 let x = (word >> (X_SHIFT - COLUMN_SHIFT)) & (31 << COLUMN_SHIFT);
