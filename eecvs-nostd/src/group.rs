@@ -8,7 +8,7 @@ use core::mem;
 use core::num::NonZeroU32;
 
 use crate::transform::Impulse;
-use crate::window::{Head, NO_SLOT, SEGMENT_PIXELS, Slot, Window, index};
+use crate::window::{FIRST, Head, NO_SLOT, SEGMENT_PIXELS, Slot, Window, index};
 
 /// A pixel with events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,8 +81,8 @@ impl Group {
             Some(columns) => columns,
             None => self.next_segment(window)?,
         };
-        let column = columns.trailing_zeros();
-        self.columns = columns.get() & (columns.get() - 1);
+        let column = columns.leading_zeros();
+        self.columns = columns.get() ^ (FIRST >> column);
         let i = column as usize % 32;
         let tally = mem::take(&mut self.tallies[i]);
         let on = index(tally as Head);
@@ -98,7 +98,7 @@ impl Group {
     /// Makes the pixel that [`Self::next`] gave last the next one again.
     pub const fn put_back(&mut self, pixel: Pixel) {
         let i = (pixel.x % SEGMENT_PIXELS) as usize;
-        self.columns |= 1 << i;
+        self.columns |= FIRST >> i;
         self.heads[i] = pixel.head;
         self.tallies[i] = (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally;
     }
@@ -109,8 +109,8 @@ impl Group {
         if self.segments == 0 {
             (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;
         }
-        let segment = self.first_segment + self.segments.trailing_zeros();
-        self.segments &= self.segments.wrapping_sub(1);
+        let segment = self.first_segment + self.segments.leading_zeros();
+        self.segments ^= FIRST.rotate_right(segment);
         (self.segment_x, self.segment_y) = window.segment_origin(segment);
         let head = window.take_head(segment);
         NonZeroU32::new(self.deal(head, window.slots()))
@@ -123,7 +123,7 @@ impl Group {
         // A list ends with `NO_SLOT`, which no buffer has.
         while let Some(slot) = slots.get_mut(head as usize) {
             let column = slot.column();
-            columns |= 1 << column;
+            columns |= FIRST >> column;
             self.tallies[column as usize] += EVENT + Tally::from(slot.sign());
             let first = mem::replace(&mut self.heads[column as usize], head);
             head = slot.next();

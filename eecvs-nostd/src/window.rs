@@ -666,6 +666,9 @@ pub(crate) const fn index(head: Head) -> u32 {
     head as u32
 }
 
+/// The first of 32 in a word: the highest bit. A turn of it takes no remainder.
+pub(crate) const FIRST: u32 = 1 << 31;
+
 /// Which segments have events, in two levels.
 #[derive(Debug)]
 struct Marks<'b> {
@@ -677,12 +680,12 @@ struct Marks<'b> {
 
 impl Marks<'_> {
     /// Notes that a segment has events.
-    #[inline(always)]
+    #[inline(never)]
     fn add(&mut self, segment: u32) {
         let word = segment / 32;
         let Some(bits) = self.bitmap.get_mut(word as usize) else {
             return;
         };
-        *bits |= 1 << (segment % 32);
+        *bits |= FIRST.rotate_right(segment);
     }
 }
