@@ -16,13 +16,13 @@ pub(crate) const NO_EVENT: u32 = !(EVENTS_END - 1);
 const _: () = assert!(EVENTS_END.is_power_of_two());
 /// The type, which is the polarity of an event.
 pub(crate) const KIND_SHIFT: u32 = 28;
-const LOW_SHIFT: u32 = 22;
+pub(crate) const LOW_SHIFT: u32 = 22;
 pub(crate) const X_SHIFT: u32 = 11;
 pub(crate) const SIDE_BITS: u32 = 11;
 pub(crate) const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
 const TIME_HIGH: u32 = 8;
 /// Time bits of an event's own word.
-const LOW_BITS: u32 = 6;
+pub(crate) const LOW_BITS: u32 = 6;
 /// Bits of a `TIME_HIGH`.
 const HIGH_MASK: u32 = (1 << 28) - 1;
 /// Period of the format's time: 2^34 us, 4.8 hours.
@@ -87,23 +87,24 @@ impl Evt2Decoder {
         }
     }
 
-    /// The times from the current one on to `ahead_us` later, for a run of words.
+    /// The current `TIME_HIGH`.
     #[inline]
-    pub(crate) fn times(&self, ahead_us: u32) -> Times {
-        let word = (TIME_HIGH << KIND_SHIFT) | self.high.unwrap_or(0);
-        let last = (TIME_HIGH << KIND_SHIFT) | HIGH_MASK;
-        Times {
-            first: word,
-            word,
-            last: word.saturating_add(ahead_us >> LOW_BITS).min(last),
-        }
+    pub(crate) fn time_word(&self) -> u32 {
+        (TIME_HIGH << KIND_SHIFT) | self.high.unwrap_or(0)
     }
 
-    /// Takes the time that `times` has come to.
+    /// The last `TIME_HIGH` that comes within `ahead_us` of the current one and does not wrap.
     #[inline]
-    pub(crate) fn step(&mut self, times: &Times) {
-        let step_us = (times.word - times.first) << LOW_BITS;
-        self.high = Some(times.word & HIGH_MASK);
+    pub(crate) fn time_word_after(&self, ahead_us: u32) -> u32 {
+        let last = (TIME_HIGH << KIND_SHIFT) | HIGH_MASK;
+        last.min(self.time_word() + (ahead_us >> LOW_BITS))
+    }
+
+    /// Takes a `TIME_HIGH` from the current one to any of [`Self::time_word_after`].
+    #[inline]
+    pub(crate) fn step_to_word(&mut self, word: u32) {
+        let step_us = time_step_us(self.time_word(), word);
+        self.high = Some(word & HIGH_MASK);
         self.time_us = self.time_us.wrapping_add(u64::from(step_us));
     }
 
@@ -151,48 +152,10 @@ impl Evt2Decoder {
     }
 }
 
-/// y of an event's word: the word's lowest bits, in one instruction.
-#[cfg(eecvs_dsp)]
-#[allow(unsafe_code)]
-#[inline(always)]
-pub(crate) fn y_of(word: u32) -> u32 {
-    let y;
-    // SAFETY: reads a register and writes another.
-    unsafe {
-        core::arch::asm!("ubfx {}, {}, #0, {bits}", lateout(reg) y, in(reg) word, bits = const SIDE_BITS,
-            options(pure, nomem, nostack, preserves_flags));
-    }
-    y
-}
-
-#[cfg(not(eecvs_dsp))]
-#[inline(always)]
-pub(crate) fn y_of(word: u32) -> u32 {
-    word & SIDE_MASK
-}
-
-/// Steps forwards from a decoder's time, in a run of words: [`Evt2Decoder::times`].
-#[derive(Debug)]
-pub(crate) struct Times {
-    /// The decoder's `TIME_HIGH`.
-    first: u32,
-    /// The one after the steps.
-    word: u32,
-    /// The last one to step to, less than 2^32 us after the first.
-    last: u32,
-}
-
-impl Times {
-    /// Takes a `TIME_HIGH` that is not before the one at hand, and returns its distance from the
-    /// first in microseconds; takes no other word.
-    #[inline(always)]
-    pub(crate) fn step_us(&mut self, word: u32) -> Option<u32> {
-        if word < self.word || word > self.last {
-            return None;
-        }
-        self.word = word;
-        Some((word - self.first) << LOW_BITS)
-    }
+/// Microseconds from a `TIME_HIGH` to a later one, which are less than 2^32.
+#[inline]
+pub(crate) const fn time_step_us(from: u32, to: u32) -> u32 {
+    (to - from) << LOW_BITS
 }
 
 /// What an event's word adds to its `TIME_HIGH`, below [`SPAN_US`].

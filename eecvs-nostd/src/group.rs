@@ -81,8 +81,8 @@ impl Group {
             Some(columns) => columns,
             None => self.next_segment(window)?,
         };
-        let column = columns.leading_zeros();
-        self.columns = columns.get() ^ (FIRST >> column);
+        let column = columns.trailing_zeros();
+        self.columns = columns.get() & (columns.get() - 1);
         let i = column as usize % 32;
         let tally = mem::take(&mut self.tallies[i]);
         let on = index(tally as Head);
@@ -98,7 +98,7 @@ impl Group {
     /// Makes the pixel that [`Self::next`] gave last the next one again.
     pub const fn put_back(&mut self, pixel: Pixel) {
         let i = (pixel.x % SEGMENT_PIXELS) as usize;
-        self.columns |= FIRST >> i;
+        self.columns |= 1 << i;
         self.heads[i] = pixel.head;
         self.tallies[i] = (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally;
     }
@@ -123,7 +123,7 @@ impl Group {
         // A list ends with `NO_SLOT`, which no buffer has.
         while let Some(slot) = slots.get_mut(head as usize) {
             let column = slot.column();
-            columns |= FIRST >> column;
+            columns |= 1 << column;
             self.tallies[column as usize] += EVENT + Tally::from(slot.sign());
             let first = mem::replace(&mut self.heads[column as usize], head);
             head = slot.next();

@@ -5,11 +5,8 @@ use core::num::NonZeroU32;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use crate::event::{Event, Sensor};
-use crate::fixed_point::mul_add;
-use crate::evt2::{
-    y_of,
-    Evt2Decoder, KIND_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, SPAN_US, Word, X_SHIFT, low_us,
-};
+use crate::evt2::{Evt2Decoder, SPAN_US, Word, X_SHIFT};
+use crate::intake::Intake;
 
 /// One buffered event: 8 bytes. All zero is a valid empty slot, so buffers live in `.bss`.
 #[derive(
@@ -31,8 +28,8 @@ pub struct Slot {
 const LINK: (u32, u32) = (16, X_SHIFT);
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
 const LINK: (u32, u32) = (8, 3);
-const NEXT_SHIFT: u32 = LINK.0;
-const COLUMN_SHIFT: u32 = LINK.1;
+pub(crate) const NEXT_SHIFT: u32 = LINK.0;
+pub(crate) const COLUMN_SHIFT: u32 = LINK.1;
 /// The polarity's bits, of which the lowest is in use.
 const SIGN_BITS: u32 = if COLUMN_SHIFT < 8 { COLUMN_SHIFT } else { 8 };
 const _: () = assert!(COLUMN_SHIFT <= X_SHIFT && COLUMN_SHIFT + COLUMN_BITS <= NEXT_SHIFT);
@@ -46,7 +43,7 @@ impl Slot {
 
     /// `next` as [`Self::next`]; `x_and_sign` is x from bit [`COLUMN_SHIFT`] on, plus 1 for ON.
     #[inline]
-    const fn new(offset_us: u32, next: u32, x_and_sign: u32) -> Self {
+    pub(crate) const fn new(offset_us: u32, next: u32, x_and_sign: u32) -> Self {
         Self {
             offset_us,
             link: (next << NEXT_SHIFT) | (x_and_sign & ((1 << NEXT_SHIFT) - 1)),
@@ -81,7 +78,7 @@ impl Slot {
     }
 }
 
-const COLUMN_BITS: u32 = 5;
+pub(crate) const COLUMN_BITS: u32 = 5;
 /// Columns of a segment: the run of pixels whose events share one list.
 pub const SEGMENT_PIXELS: u16 = 1 << COLUMN_BITS;
 
@@ -116,11 +113,10 @@ pub const fn segments(width: u16, height: u16) -> usize {
     width.div_ceil(SEGMENT_PIXELS) as usize * height as usize
 }
 
-/// Words of the two-level bitmap over `segments`.
+/// Words of the bitmap over `segments`.
 #[must_use]
 pub const fn bitmap_words(segments: usize) -> usize {
-    let words = segments.div_ceil(32);
-    words + words.div_ceil(32)
+    segments.div_ceil(32)
 }
 
 /// Which sensor, and how long a window is.
@@ -273,7 +269,8 @@ pub struct Window<'b> {
     slots: &'b mut [Slot],
     /// Exactly as many as the sensor has segments.
     heads: &'b mut [Head],
-    marks: Marks<'b>,
+    /// As many bits as there are segments, from [`FIRST`] on.
+    bitmap: &'b mut [u32],
     /// Segments in a row.
     stride: NonZeroU32,
     len: u32,
@@ -316,12 +313,12 @@ impl<'b> Window<'b> {
             heads[segment] = NO_HEAD;
             segment += 1;
         }
-        let (bitmap, summary) = bitmap.split_at_mut(segments.div_ceil(32));
+        let (bitmap, _) = bitmap.split_at_mut(bitmap_words(segments));
         Some(Self {
             config,
             slots,
             heads,
-            marks: Marks { bitmap, summary },
+            bitmap,
             stride,
             len: 0,
             latest: Latest::NONE,
@@ -374,17 +371,16 @@ impl<'b> Window<'b> {
     fn store(&mut self, event: Event, offset_us: u32) {
         let x = u32::from(event.x);
         let segment = u32::from(event.y) * self.stride.get() + x / u32::from(SEGMENT_PIXELS);
-        let (Some(head), Some(slot)) = (
+        let (Some(head), Some(slot), Some(bits)) = (
             self.heads.get_mut(segment as usize),
             self.slots.get_mut(self.len as usize),
+            self.bitmap.get_mut(segment as usize / 32),
         ) else {
             debug_assert!(false, "the sensor and the capacity were checked");
             return;
         };
         let next = index(*head);
-        if *head == NO_HEAD {
-            self.marks.add(segment);
-        }
+        *bits |= FIRST.rotate_right(segment);
         let column = x % u32::from(SEGMENT_PIXELS);
         let column_and_sign = (column << COLUMN_SHIFT) | event.polarity as u32;
         *slot = Slot::new(offset_us, next, column_and_sign);
@@ -447,62 +443,42 @@ impl<'b> Window<'b> {
     /// Stores events on the sensor while there are slots, `span_us` being the offset of the
     /// decoder's time, and follows that time forwards while it lies in the window; returns how many
     /// words it took.
-    #[inline(never)]
     fn store_words(
         &mut self,
         decoder: &mut Evt2Decoder,
         span_us: u32,
         words: &[[u8; 4]],
     ) -> usize {
-        let mut times = decoder.times((self.whole_spans_end_us() - 1).saturating_sub(span_us));
-        let start_us = span_us;
-        let mut span_us = span_us;
-        // x is compared where it is in a word, together with the bits that an event has not.
-        let width = u32::from(self.config.sensor.width) << X_SHIFT;
-        let stride = self.stride.get();
-        let heads = &mut *self.heads;
-        let slots = &mut *self.slots;
-        let mut len = self.len;
-        let mut rest = words;
-        loop {
-            let free = slots.get_mut(len as usize..).unwrap_or_default();
-            let span_at = len;
-            for (word, slot) in rest.iter().zip(free) {
-                let word = u32::from_le_bytes(*word);
-                let x = word & (NO_EVENT | (SIDE_MASK << X_SHIFT) | SIDE_MASK);
-                if x >= width {
-                    break;
-                }
-                // An x on the sensor makes the segment's index tell whether y is.
-                let segment = mul_add(y_of(word) as i32, stride as i32, (x >> (X_SHIFT + COLUMN_BITS)) as i32) as u32;
-                let Some(head) = heads.get_mut(segment as usize) else {
-                    break;
-                };
-                let next = index(*head);
-                // None is more than any slot.
-                if next >= len {
-                    self.marks.add(segment);
-                }
-                let x = (word >> (X_SHIFT - COLUMN_SHIFT)) & (31 << COLUMN_SHIFT);
-                let x_and_sign = x | (word >> KIND_SHIFT);
-                *slot = Slot::new(span_us + low_us(word), next, x_and_sign);
-                *head = len as Head;
-                len += 1;
-            }
-            self.latest.span(span_us, span_at, len);
-            rest = rest.get((len - span_at) as usize..).unwrap_or_default();
-            let Some((word, after)) = rest.split_first() else {
-                break;
-            };
-            let Some(step_us) = times.step_us(u32::from_le_bytes(*word)) else {
-                break;
-            };
-            span_us = start_us + step_us;
-            rest = after;
-        }
+        let ahead_us = (self.whole_spans_end_us() - 1).saturating_sub(span_us);
+        let mut intake = Intake {
+            slots: self.slots,
+            heads: self.heads,
+            bitmap: self.bitmap,
+            width: self.config.sensor.width,
+            stride: self.stride,
+            len: self.len,
+            time: decoder.time_word(),
+            time_last: decoder.time_word_after(ahead_us),
+            span_us,
+            span_at: self.len,
+            before_us: 0,
+            before_at: self.len,
+        };
+        let taken = intake.take(words);
+        let Intake {
+            len,
+            time,
+            span_us,
+            span_at,
+            before_us,
+            before_at,
+            ..
+        } = intake;
+        self.latest.span(before_us, before_at, span_at);
+        self.latest.span(span_us, span_at, len);
         self.len = len;
-        decoder.step(&times);
-        words.len() - rest.len()
+        decoder.step_to_word(time);
+        taken
     }
 
     /// Largest offset of the events held, or less where that is below `at_least_us` anyway.
@@ -587,7 +563,7 @@ impl<'b> Window<'b> {
 
     /// Opens the next window; the segments must have been taken.
     pub(crate) fn reopen(&mut self) {
-        debug_assert!(self.marks.bitmap.iter().all(|word| *word == 0));
+        debug_assert!(self.bitmap.iter().all(|word| *word == 0));
         self.len = 0;
         self.latest = Latest::NONE;
         self.closed = None;
@@ -596,10 +572,10 @@ impl<'b> Window<'b> {
     /// Takes the next 32 segments of which some have events: the first one's index, and a bit for
     /// each.
     ///
-    /// The cost follows the segments that have events and 1/1024 of all segments.
+    /// The cost follows the segments that have events and 1/32 of all segments.
     #[inline]
     pub(crate) fn take_segments(&mut self, cursor: &mut usize) -> Option<(u32, u32)> {
-        let words = self.marks.bitmap.get_mut(*cursor..)?;
+        let words = self.bitmap.get_mut(*cursor..)?;
         let at = words.iter().position(|bits| *bits != 0)?;
         let segment = (*cursor + at) as u32 * 32;
         *cursor += at + 1;
@@ -666,26 +642,5 @@ pub(crate) const fn index(head: Head) -> u32 {
     head as u32
 }
 
-/// The first of 32 in a word: the highest bit. A turn of it takes no remainder.
+/// The first of 32 in a word: the highest bit, since a word is turned and counted from there.
 pub(crate) const FIRST: u32 = 1 << 31;
-
-/// Which segments have events, in two levels.
-#[derive(Debug)]
-struct Marks<'b> {
-    /// One bit a segment.
-    bitmap: &'b mut [u32],
-    /// One bit a word of `bitmap`.
-    summary: &'b mut [u32],
-}
-
-impl Marks<'_> {
-    /// Notes that a segment has events.
-    #[inline(never)]
-    fn add(&mut self, segment: u32) {
-        let word = segment / 32;
-        let Some(bits) = self.bitmap.get_mut(word as usize) else {
-            return;
-        };
-        *bits |= FIRST.rotate_right(segment);
-    }
-}
