@@ -25,7 +25,7 @@ pub(crate) struct Intake<'w> {
     pub time: u32,
     /// The last one that may be stepped to.
     pub time_last: u32,
-    /// Offset of the current one.
+    /// Offset of the current one; wraps where it is before the window, and its events are not.
     pub span_us: u32,
     /// Slot of the first event since.
     pub span_at: u32,
@@ -106,7 +106,7 @@ impl Intake<'_> {
                 *bits |= FIRST.rotate_right(segment);
             }
             let x = (word >> (X_SHIFT - COLUMN_SHIFT)) & (((1 << COLUMN_BITS) - 1) << COLUMN_SHIFT);
-            *slot = Slot::new(self.span_us + low_us(word), next, x | (word >> KIND_SHIFT));
+            *slot = Slot::new(self.span_us.wrapping_add(low_us(word)), next, x | (word >> KIND_SHIFT));
             *head = self.len as Head;
             self.len += 1;
         }

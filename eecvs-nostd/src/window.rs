@@ -5,7 +5,7 @@ use core::num::NonZeroU32;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use crate::event::{Event, Sensor};
-use crate::evt2::{Evt2Decoder, SPAN_US, Word, X_SHIFT};
+use crate::evt2::{Evt2Decoder, SPAN_US, Word, X_SHIFT, is_event, low_us};
 use crate::intake::Intake;
 
 /// One buffered event: 8 bytes. All zero is a valid empty slot, so buffers live in `.bss`.
@@ -185,6 +185,9 @@ impl<'b> WindowBuffers<'b> {
         )
     }
 }
+
+/// Words taken at once of a time that lies in a window in part.
+const STRADDLING_WORDS: usize = 64;
 
 const SLOT_WORDS: usize = size_of::<Slot>() / size_of::<u32>();
 
@@ -398,11 +401,9 @@ impl<'b> Window<'b> {
         let mut taken = Taken::default();
         while taken.words < words.len() {
             let rest = &words[taken.words..];
-            if let Some(span_us) = self.whole_span(decoder) {
-                let before = self.len;
-                taken.words += self.store_words(decoder, span_us, rest);
-                taken.events += self.len - before;
-            }
+            let before = self.len;
+            taken.words += self.store_words(decoder, rest);
+            taken.events += self.len - before;
             // What ended the run: anything out of the ordinary.
             let Some(word) = words.get(taken.words) else {
                 break;
@@ -422,34 +423,35 @@ impl<'b> Window<'b> {
         taken
     }
 
-    /// Offset of the decoder's current time, where it and all times that a word can add to it lie
-    /// in the open window.
-    #[inline]
-    fn whole_span(&self, decoder: &Evt2Decoder) -> Option<u32> {
-        if self.closed.is_some() {
-            return None;
+    /// Stores events on the sensor while there are slots, and follows the decoder's time forwards
+    /// while it lies in the window; returns how many words it took.
+    fn store_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> usize {
+        let (Some(time_us), Some(start_us), None) =
+            (decoder.span_us(), self.start_us, self.closed)
+        else {
+            return 0;
+        };
+        let window_us = i64::from(self.config.window_us);
+        let since_start = time_us.wrapping_sub(start_us) as i64;
+        let to_end = window_us.saturating_sub(since_start);
+        if since_start <= -i64::from(SPAN_US) || to_end <= 0 {
+            return 0;
         }
-        let since_start = decoder.span_us()?.checked_sub(self.start_us?)?;
-        let since_start = u32::try_from(since_start).ok()?;
-        (since_start < self.whole_spans_end_us()).then_some(since_start)
-    }
-
-    /// A span whose offset is below lies in the window as a whole.
-    #[inline]
-    const fn whole_spans_end_us(&self) -> u32 {
-        self.config.window_us.saturating_sub(SPAN_US - 1)
-    }
-
-    /// Stores events on the sensor while there are slots, `span_us` being the offset of the
-    /// decoder's time, and follows that time forwards while it lies in the window; returns how many
-    /// words it took.
-    fn store_words(
-        &mut self,
-        decoder: &mut Evt2Decoder,
-        span_us: u32,
-        words: &[[u8; 4]],
-    ) -> usize {
-        let ahead_us = (self.whole_spans_end_us() - 1).saturating_sub(span_us);
+        let (mut words, mut ahead_us) = (words, 0);
+        if since_start < 0 || to_end < i64::from(SPAN_US) {
+            // Some of the times that a word can add are not in the window.
+            let inside = (-since_start).max(0) as u32..to_end.min(i64::from(SPAN_US)) as u32;
+            let is_inside = |word: &[u8; 4]| {
+                let word = u32::from_le_bytes(*word);
+                is_event(word) && inside.contains(&low_us(word))
+            };
+            // A few at a time: the first one off the sensor has the rest looked at again.
+            let few = words.iter().take(STRADDLING_WORDS);
+            words = &words[..few.take_while(|word| is_inside(word)).count()];
+        } else {
+            ahead_us = (to_end - i64::from(SPAN_US)) as u32;
+        }
+        let span_us = since_start as u32;
         let mut intake = Intake {
             slots: self.slots,
             heads: self.heads,
@@ -475,7 +477,9 @@ impl<'b> Window<'b> {
             ..
         } = intake;
         self.latest.span(before_us, before_at, span_at);
-        self.latest.span(span_us, span_at, len);
+        if since_start >= 0 {
+            self.latest.span(span_us, span_at, len);
+        }
         self.len = len;
         decoder.step_to_word(time);
         taken
