@@ -426,8 +426,7 @@ impl<'b> Window<'b> {
     /// Stores events on the sensor while there are slots, and follows the decoder's time forwards
     /// while it lies in the window; returns how many words it took.
     fn store_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> usize {
-        let (Some(time_us), Some(start_us), None) =
-            (decoder.span_us(), self.start_us, self.closed)
+        let (Some(time_us), Some(start_us), None) = (decoder.span_us(), self.start_us, self.closed)
         else {
             return 0;
         };
