@@ -16,6 +16,8 @@ use crate::fixed_point::{CHUNK_EVENTS, Phase, Sum, dot_add, negate_halves};
 use crate::group::Impulses;
 use crate::phase::PhaseScale;
 use crate::transform::Impulse;
+#[cfg(eecvs_dsp)]
+use crate::window::NEXT_SHIFT;
 use crate::window::Slot;
 
 /// Largest K.
@@ -155,7 +157,7 @@ impl Cosines {
     }
 
     /// The same bits with all sums in registers, which leaves the compiler too few for the rest: it
-    /// takes 45 instructions per event for these 36.
+    /// takes 45 instructions per event for these 35.
     #[cfg(eecvs_dsp)]
     #[allow(unsafe_code)]
     #[inline(always)]
@@ -164,7 +166,7 @@ impl Cosines {
         // SAFETY: `cosines_dsp` reads slots of an index below their number alone, reads the table
         // at rows below 512, and writes `sums` and `spread` of `self`. The build script sets `eecvs_dsp` only
         // for cores that have the instructions.
-        unsafe { cosines_dsp(slots.as_ptr(), slots.len(), next.wrapping_sub(1), self) }
+        unsafe { cosines_dsp(slots.as_ptr(), slots.len(), next, self) }
     }
 }
 
@@ -228,9 +230,8 @@ unsafe extern "C" fn cosines_dsp(slots: *const Slot, len: usize, index: u32, wor
         "smlad r8, r2, r11, r8",
         "smlad r9, r3, r12, r9",
         "smlad r10, r1, r11, r10",
-        // The next slot's index: 0, the end of the list, becomes one beyond any buffer.
-        "mov r2, #-1",
-        "add lr, r2, lr, lsr #{next_at}",
+        // The next slot; the end of the list is beyond any buffer.
+        "lsr lr, lr, #{next_at}",
         "ldr r3, [sp]",
         "cmp lr, r3",
         "bcc 2b",
@@ -259,7 +260,7 @@ unsafe extern "C" fn cosines_dsp(slots: *const Slot, len: usize, index: u32, wor
         one = const ONE << 16,
         row_at = const 30 - ROWS_LOG2,
         rows_log2 = const ROWS_LOG2,
-        next_at = const Slot::NEXT_SHIFT,
+        next_at = const NEXT_SHIFT,
     )
 }
 
