@@ -172,11 +172,18 @@ impl<'o> BitWriter<'o> {
         self.state.words >= self.words.len()
     }
 
-    /// What is written from, for assembly: the next word, and the state, of which it writes `words`
-    /// less what they were, `pending` and `free`.
+    /// State, words and their number, for assembly.
+    ///
+    /// # Safety
+    /// `writer` is valid.
     #[cfg(eecvs_dsp)]
-    pub(crate) const fn parts(&mut self) -> (&mut [[u8; 4]], &mut Position) {
-        (&mut *self.words, &mut self.state)
+    #[allow(unsafe_code)]
+    pub(crate) const unsafe fn raw_parts(
+        writer: *mut Self,
+    ) -> (*mut Position, *mut [u8; 4], usize) {
+        // SAFETY: by the caller.
+        let (state, words) = unsafe { (&raw mut (*writer).state, &mut *(*writer).words) };
+        (state, words.as_mut_ptr(), words.len())
     }
 
     /// Whether so many words can be put yet without its becoming full.

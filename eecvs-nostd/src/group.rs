@@ -38,17 +38,24 @@ pub struct Group {
     segment_y: u16,
     /// Columns of the current segment still to be visited.
     columns: u32,
-    /// By column, its first event; [`NO_SLOT`] where `columns` has no bit.
-    heads: [u32; 32],
-    /// By column, its events; 0 where `columns` has no bit.
-    tallies: [Tally; 32],
+    lists: Lists,
+}
+
+/// Of each column of a segment.
+#[derive(Debug)]
+#[repr(C)]
+pub(crate) struct Lists {
+    /// First event; [`NO_SLOT`] where `columns` has no bit.
+    pub(crate) heads: [u32; 32],
+    /// Events; 0 where `columns` has no bit.
+    pub(crate) tallies: [Tally; 32],
 }
 
 /// Events in the upper half, those that are ON in the lower: no more than a window has slots.
 #[cfg(all(target_os = "none", target_pointer_width = "32"))]
-type Tally = u32;
+pub(crate) type Tally = u32;
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
-type Tally = u64;
+pub(crate) type Tally = u64;
 /// One event.
 const EVENT: Tally = 1 << Head::BITS;
 const _: () = assert!(Tally::BITS == 2 * Head::BITS);
@@ -64,8 +71,10 @@ impl Group {
             segment_x: 0,
             segment_y: 0,
             columns: 0,
-            heads: [NO_SLOT; 32],
-            tallies: [0; 32],
+            lists: Lists {
+                heads: [NO_SLOT; 32],
+                tallies: [0; 32],
+            },
         }
     }
 
@@ -84,14 +93,14 @@ impl Group {
         let column = columns.trailing_zeros();
         self.columns = columns.get() & (columns.get() - 1);
         let i = column as usize % 32;
-        let tally = mem::take(&mut self.tallies[i]);
+        let tally = mem::take(&mut self.lists.tallies[i]);
         let on = index(tally as Head);
         Some(Pixel {
             x: self.segment_x + column as u16,
             y: self.segment_y,
             on,
             off: (tally >> Head::BITS) as u32 - on,
-            head: mem::replace(&mut self.heads[i], NO_SLOT),
+            head: mem::replace(&mut self.lists.heads[i], NO_SLOT),
         })
     }
 
@@ -99,8 +108,36 @@ impl Group {
     pub const fn put_back(&mut self, pixel: Pixel) {
         let i = (pixel.x % SEGMENT_PIXELS) as usize;
         self.columns |= 1 << i;
-        self.heads[i] = pixel.head;
-        self.tallies[i] = (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally;
+        self.lists.heads[i] = pixel.head;
+        self.lists.tallies[i] = (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally;
+    }
+
+    /// Columns of the segment at hand that were not visited, or of the next one; 0 after the last.
+    /// They count as visited until [`Self::leave`].
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn enter(&mut self, window: &mut Window<'_>) -> u32 {
+        match mem::take(&mut self.columns) {
+            0 => self.next_segment(window).map_or(0, NonZeroU32::get),
+            columns => columns,
+        }
+    }
+
+    /// `columns` of the segment at hand were not visited.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn leave(&mut self, columns: u32) {
+        self.columns = columns;
+    }
+
+    /// Column and row of the segment at hand.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn origin(&self) -> (u16, u16) {
+        (self.segment_x, self.segment_y)
+    }
+
+    /// Lists of the segment at hand.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn lists(&mut self) -> &mut Lists {
+        &mut self.lists
     }
 
     /// Goes to the next segment and returns its columns.
@@ -124,8 +161,8 @@ impl Group {
         while let Some(slot) = slots.get_mut(head as usize) {
             let column = slot.column();
             columns |= 1 << column;
-            self.tallies[column as usize] += EVENT + Tally::from(slot.sign());
-            let first = mem::replace(&mut self.heads[column as usize], head);
+            self.lists.tallies[column as usize] += EVENT + Tally::from(slot.sign());
+            let first = mem::replace(&mut self.lists.heads[column as usize], head);
             head = slot.next();
             *slot = slot.with_next(first);
         }

@@ -22,6 +22,8 @@ pub mod encoder;
 pub mod event;
 pub mod event_link;
 pub mod evt2;
+#[cfg(eecvs_dsp)]
+mod few_dsp;
 pub mod fixed_point;
 pub mod frame;
 pub mod group;

@@ -123,21 +123,22 @@ impl GapCode {
 impl Packer {
     /// Where a pixel is and what it counts. Pixels come in raster order.
     #[inline(always)]
-    pub fn place(&mut self, position: (u16, u16), counts: (u32, u32), writer: &mut BitWriter<'_>) {
-        let (code, bits) = self.place_code(position, counts, writer);
+    pub fn place(&mut self, (x, y): (u16, u16), counts: (u32, u32), writer: &mut BitWriter<'_>) {
+        let index = u32::from(y) * self.width + u32::from(x);
+        let (code, bits) = self.place_code(index, counts, writer);
         writer.put_clean(code, bits);
     }
 
     /// What [`Self::place`] puts and how many bits, 31 at the most; nothing where these do not hold
     /// it and it has been put.
     #[inline(always)]
-    pub fn place_code(
+    fn place_code(
         &mut self,
-        (x, y): (u16, u16),
+        index: u32,
         (on, off): (u32, u32),
         writer: &mut BitWriter<'_>,
     ) -> (u32, u32) {
-        let shifted = self.gap.step(u32::from(y) * self.width + u32::from(x));
+        let shifted = self.gap.step(index);
         let (gap_code, gap_bits) = self.gap.code(shifted);
         let events = on + off;
         let (counts, counts_bits) = exp_golomb(events.wrapping_sub(1), 0);
@@ -172,30 +173,32 @@ impl Packer {
     #[inline(always)]
     pub fn seven(
         &mut self,
-        position: (u16, u16),
+        (x, y): (u16, u16),
         counts: (u32, u32),
         cosines: &Cosines,
         writer: &mut BitWriter<'_>,
     ) {
+        let index = u32::from(y) * self.width + u32::from(x);
         #[cfg(eecvs_dsp)]
-        if seven_dsp::put(self, position, counts, cosines, writer) {
+        if seven_dsp::put(self, index, counts, cosines, writer) {
             return;
         }
-        self.seven_portable(position, counts, cosines, writer);
+        self.seven_portable(index, counts, cosines, writer);
     }
 
+    /// The same for a raster index.
     #[cfg_attr(eecvs_dsp, cold)]
     #[cfg_attr(eecvs_dsp, inline(never))]
     #[cfg_attr(not(eecvs_dsp), inline(always))]
-    fn seven_portable(
+    pub(crate) fn seven_portable(
         &mut self,
-        position: (u16, u16),
+        index: u32,
         (on, off): (u32, u32),
         cosines: &Cosines,
         writer: &mut BitWriter<'_>,
     ) {
         writer.aside(|writer| {
-            let (code, code_bits) = self.place_code(position, (on, off), writer);
+            let (code, code_bits) = self.place_code(index, (on, off), writer);
             let levels = Seven {
                 bits: cosines.sums(),
                 shift: self.shift,
@@ -270,6 +273,20 @@ impl Packer {
             let gap = self.gap;
             single_long((gap, shifted), is_on, (cell, cells_log2), writer);
         }
+    }
+
+    /// The same where `before` is what the gap's code comes to, and `rest` holds polarity and cell.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn single_to(&mut self, before: u32, rest: u32, writer: &mut BitWriter<'_>) {
+        let shifted = self.gap.step(before.wrapping_add(self.gap.less));
+        let cell = (rest >> 1, self.cells_log2);
+        single_long((self.gap, shifted), rest & 1 == 1, cell, writer);
+    }
+
+    /// Columns of the sensor.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn width(&self) -> u32 {
+        self.width
     }
 
     /// Bits of a single event's cell.
@@ -399,7 +416,7 @@ impl Levels for DescriptorLevels<'_> {
 /// [`Packer::seven`] with everything in registers.
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
-mod seven_dsp {
+pub(crate) mod seven_dsp {
     use core::arch::naked_asm;
     use core::mem::offset_of;
 
@@ -415,7 +432,7 @@ mod seven_dsp {
     #[inline(always)]
     pub fn put(
         packer: &mut Packer,
-        (x, y): (u16, u16),
+        index: u32,
         (on, off): (u32, u32),
         cosines: &Cosines,
         writer: &mut BitWriter<'_>,
@@ -423,13 +440,14 @@ mod seven_dsp {
         if !writer.has_words(WORDS_MAX) {
             return false;
         }
-        let index = u32::from(y) * packer.width + u32::from(x);
         let counts = ((on + off) << 16) | on;
-        let (words, position) = writer.parts();
-        // SAFETY: `seven` writes `before` of `packer`, `position`, and up to `WORDS_MAX` words from
-        // the position on, which are there. The build script sets `eecvs_dsp` only for cores that
-        // have the instructions.
-        unsafe { seven(packer, index, counts, cosines, position, words.as_mut_ptr()) }
+        // SAFETY: the pointer is that of the reference. `seven` writes `before` of `packer`, the
+        // position, and up to `WORDS_MAX` words from there on, which are there. The build script
+        // sets `eecvs_dsp` only for cores that have the instructions.
+        unsafe {
+            let (position, words, _) = BitWriter::raw_parts(writer);
+            seven(packer, index, counts, cosines, &mut *position, words)
+        }
     }
 
     const _: () = assert!(offset_of!(Packer, gap) == 0 && offset_of!(GapCode, before) == 0);
@@ -439,7 +457,7 @@ mod seven_dsp {
     /// # Safety
     /// The words from `position.words` on are `WORDS_MAX` or more.
     #[unsafe(naked)]
-    unsafe extern "C" fn seven(
+    pub(crate) unsafe extern "C" fn seven(
         packer: &mut Packer,
         index: u32,
         counts: u32,

@@ -2,6 +2,8 @@
 
 use crate::bits::BitWriter;
 use crate::encoder::Scratch;
+#[cfg(eecvs_dsp)]
+use crate::few_dsp;
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
 use crate::group::{Group, Impulses, Pixel};
 use crate::pack::Packer;
@@ -108,6 +110,18 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
         while writer.has_words(FEW_WORDS_MAX) {
             trace.enter(Stage::Group);
+            #[cfg(eecvs_dsp)]
+            if !T::LISTENS {
+                let (packer, cosines) = (&mut self.packer, &mut self.cosines);
+                let room = (&mut *writer, FEW_WORDS_MAX);
+                let (some, places) =
+                    few_dsp::walk((group, window), self.scale, packer, cosines, room);
+                events += some;
+                pixels += places;
+                if !writer.has_words(FEW_WORDS_MAX) {
+                    break;
+                }
+            }
             let Some(pixel) = group.next(window) else {
                 break;
             };
@@ -155,7 +169,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) {
         trace.enter(Stage::Accumulate);
-        self.cosines.sum(Impulses::new(*pixel, slots));
+        self.cosines.sum(&Impulses::new(*pixel, slots));
         trace.enter(Stage::Pack);
         let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
         self.packer.seven(position, counts, &self.cosines, writer);

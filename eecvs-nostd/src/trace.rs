@@ -50,11 +50,16 @@ impl Stage {
 
 /// Listens to the encoder's changes of stage; `()` does not, and costs nothing.
 pub trait Trace {
+    /// Whether there is anything to tell it.
+    const LISTENS: bool = true;
+
     /// What follows, up to the next call, belongs to `stage`.
     fn enter(&mut self, stage: Stage);
 }
 
 impl Trace for () {
+    const LISTENS: bool = false;
+
     #[inline(always)]
     fn enter(&mut self, _: Stage) {}
 }

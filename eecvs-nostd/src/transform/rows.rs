@@ -147,9 +147,9 @@ impl Cosines {
 
     /// Sums up the events of a pixel, at most [`CHUNK_EVENTS`].
     #[cfg(not(eecvs_dsp))]
-    pub(crate) fn sum(&mut self, impulses: Impulses<'_>) {
+    pub(crate) fn sum(&mut self, impulses: &Impulses<'_>) {
         let (shift, reciprocal) = (self.shift, self.reciprocal);
-        self.sums = cosines(impulses, |impulse| {
+        self.sums = cosines(impulses.clone(), |impulse| {
             PhaseScale::half_of(impulse.offset_us, shift, reciprocal)
         });
         let spread = |all, sum: &i32| all | (sum ^ (sum >> 31));
@@ -161,7 +161,7 @@ impl Cosines {
     #[cfg(eecvs_dsp)]
     #[allow(unsafe_code)]
     #[inline(always)]
-    pub(crate) fn sum(&mut self, impulses: Impulses<'_>) {
+    pub(crate) fn sum(&mut self, impulses: &Impulses<'_>) {
         let (slots, next) = impulses.parts();
         // SAFETY: `cosines_dsp` reads slots of an index below their number alone, reads the table
         // at rows below 512, and writes `sums` and `spread` of `self`. The build script sets `eecvs_dsp` only
@@ -177,7 +177,12 @@ impl Cosines {
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
 #[unsafe(naked)]
-unsafe extern "C" fn cosines_dsp(slots: *const Slot, len: usize, index: u32, work: &mut Cosines) {
+pub(crate) unsafe extern "C" fn cosines_dsp(
+    slots: *const Slot,
+    len: usize,
+    index: u32,
+    work: &mut Cosines,
+) {
     core::arch::naked_asm!(
         "push {{r4-r11, lr}}",
         "mov lr, r2",
