@@ -10,7 +10,10 @@ use crate::event::{Event, Polarity};
 
 const CD_ON: u32 = 1;
 /// What is below is an event: `CD_OFF` and `CD_ON` are the lowest types.
-pub(crate) const EVENTS_END: u32 = (CD_ON + 1) << KIND_SHIFT;
+const EVENTS_END: u32 = (CD_ON + 1) << KIND_SHIFT;
+/// Bits that no event has, and every other word has some of.
+pub(crate) const NO_EVENT: u32 = !(EVENTS_END - 1);
+const _: () = assert!(EVENTS_END.is_power_of_two());
 /// The type, which is the polarity of an event.
 pub(crate) const KIND_SHIFT: u32 = 28;
 pub(crate) const LOW_SHIFT: u32 = 22;
@@ -19,7 +22,7 @@ pub(crate) const SIDE_BITS: u32 = 11;
 pub(crate) const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
 const TIME_HIGH: u32 = 8;
 /// Time bits of an event's own word.
-const LOW_BITS: u32 = 6;
+pub(crate) const LOW_BITS: u32 = 6;
 /// Bits of a `TIME_HIGH`.
 const HIGH_MASK: u32 = (1 << 28) - 1;
 /// Period of the format's time: 2^34 us, 4.8 hours.
@@ -84,19 +87,25 @@ impl Evt2Decoder {
         }
     }
 
-    /// Takes a `TIME_HIGH` that is less than 2^32 us after the current one, and returns how much;
-    /// takes no other word.
+    /// The current `TIME_HIGH`.
     #[inline]
-    pub(crate) fn advance(&mut self, word: u32) -> Option<u32> {
-        let high = word & HIGH_MASK;
-        let step = high.checked_sub(self.high?)?;
-        if word >> KIND_SHIFT != TIME_HIGH || step > u32::MAX >> LOW_BITS {
-            return None;
-        }
-        let step_us = step << LOW_BITS;
-        self.high = Some(high);
+    pub(crate) fn time_word(&self) -> u32 {
+        (TIME_HIGH << KIND_SHIFT) | self.high.unwrap_or(0)
+    }
+
+    /// The last `TIME_HIGH` that comes within `ahead_us` of the current one and does not wrap.
+    #[inline]
+    pub(crate) fn time_word_after(&self, ahead_us: u32) -> u32 {
+        let last = (TIME_HIGH << KIND_SHIFT) | HIGH_MASK;
+        last.min(self.time_word() + (ahead_us >> LOW_BITS))
+    }
+
+    /// Takes a `TIME_HIGH` from the current one to any of [`Self::time_word_after`].
+    #[inline]
+    pub(crate) fn step_to_word(&mut self, word: u32) {
+        let step_us = time_step_us(self.time_word(), word);
+        self.high = Some(word & HIGH_MASK);
         self.time_us = self.time_us.wrapping_add(u64::from(step_us));
-        Some(step_us)
     }
 
     /// Takes the next word.
@@ -141,6 +150,12 @@ impl Evt2Decoder {
         }
         self.time_us = zero_us.wrapping_add(now_us);
     }
+}
+
+/// Microseconds from a `TIME_HIGH` to a later one, which are less than 2^32.
+#[inline]
+pub(crate) const fn time_step_us(from: u32, to: u32) -> u32 {
+    (to - from) << LOW_BITS
 }
 
 /// What an event's word adds to its `TIME_HIGH`, below [`SPAN_US`].

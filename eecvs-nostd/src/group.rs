@@ -5,9 +5,10 @@
 //! column lists; since the segment's list is newest first, each column's comes out oldest first.
 
 use core::mem;
+use core::num::NonZeroU32;
 
 use crate::transform::Impulse;
-use crate::window::{Head, SEGMENT_PIXELS, Slot, Window, index};
+use crate::window::{FIRST, Head, NO_SLOT, SEGMENT_PIXELS, Slot, Window, index};
 
 /// A pixel with events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -21,7 +22,7 @@ pub struct Pixel {
     pub on: u32,
     /// OFF events.
     pub off: u32,
-    /// Index + 1 of its first event.
+    /// Slot of its first event.
     head: u32,
 }
 
@@ -37,11 +38,20 @@ pub struct Group {
     segment_y: u16,
     /// Columns of the current segment still to be visited.
     columns: u32,
-    /// By column, index + 1 of its first event; 0 where `columns` has no bit.
+    /// By column, its first event; [`NO_SLOT`] where `columns` has no bit.
     heads: [u32; 32],
-    /// By column, OFF and ON events: no more than a window has slots; 0 where it has none.
-    counts: [Head; 64],
+    /// By column, its events; 0 where `columns` has no bit.
+    tallies: [Tally; 32],
 }
+
+/// Events in the upper half, those that are ON in the lower: no more than a window has slots.
+#[cfg(all(target_os = "none", target_pointer_width = "32"))]
+type Tally = u32;
+#[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
+type Tally = u64;
+/// One event.
+const EVENT: Tally = 1 << Head::BITS;
+const _: () = assert!(Tally::BITS == 2 * Head::BITS);
 
 impl Group {
     /// A walk that has not started.
@@ -54,8 +64,8 @@ impl Group {
             segment_x: 0,
             segment_y: 0,
             columns: 0,
-            heads: [0; 32],
-            counts: [0; 64],
+            heads: [NO_SLOT; 32],
+            tallies: [0; 32],
         }
     }
 
@@ -67,18 +77,21 @@ impl Group {
     /// The next pixel; `None` after the last.
     #[inline]
     pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
-        if self.columns == 0 {
-            self.next_segment(window)?;
-        }
-        let column = self.columns.trailing_zeros();
-        self.columns &= self.columns.wrapping_sub(1);
+        let columns = match NonZeroU32::new(self.columns) {
+            Some(columns) => columns,
+            None => self.next_segment(window)?,
+        };
+        let column = columns.trailing_zeros();
+        self.columns = columns.get() & (columns.get() - 1);
         let i = column as usize % 32;
+        let tally = mem::take(&mut self.tallies[i]);
+        let on = index(tally as Head);
         Some(Pixel {
             x: self.segment_x + column as u16,
             y: self.segment_y,
-            on: index(mem::take(&mut self.counts[2 * i + 1])),
-            off: index(mem::take(&mut self.counts[2 * i])),
-            head: mem::take(&mut self.heads[i]),
+            on,
+            off: (tally >> Head::BITS) as u32 - on,
+            head: mem::replace(&mut self.heads[i], NO_SLOT),
         })
     }
 
@@ -87,36 +100,36 @@ impl Group {
         let i = (pixel.x % SEGMENT_PIXELS) as usize;
         self.columns |= 1 << i;
         self.heads[i] = pixel.head;
-        self.counts[2 * i] = pixel.off as Head;
-        self.counts[2 * i + 1] = pixel.on as Head;
+        self.tallies[i] = (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally;
     }
 
-    fn next_segment(&mut self, window: &mut Window<'_>) -> Option<()> {
+    /// Goes to the next segment and returns its columns.
+    #[inline(never)]
+    fn next_segment(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
         if self.segments == 0 {
             (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;
         }
-        let segment = self.first_segment + self.segments.trailing_zeros();
-        self.segments &= self.segments.wrapping_sub(1);
+        let segment = self.first_segment + self.segments.leading_zeros();
+        self.segments ^= FIRST.rotate_right(segment);
         (self.segment_x, self.segment_y) = window.segment_origin(segment);
         let head = window.take_head(segment);
-        self.deal(head, window.slots());
-        Some(())
+        NonZeroU32::new(self.deal(head, window.slots()))
     }
 
-    /// Turns a segment's list into one for each column.
-    #[inline]
-    fn deal(&mut self, mut head: u32, slots: &mut [Slot]) {
+    /// Turns a segment's list into one for each column; returns the columns.
+    #[inline(always)]
+    fn deal(&mut self, mut head: u32, slots: &mut [Slot]) -> u32 {
         let mut columns = 0;
-        // A list ends with 0, whose index there is none of.
-        while let Some(slot) = slots.get_mut(head.wrapping_sub(1) as usize) {
+        // The end of a list is a slot that no buffer has.
+        while let Some(slot) = slots.get_mut(head as usize) {
             let column = slot.column();
             columns |= 1 << column;
-            self.counts[slot.column_and_sign() as usize] += 1;
+            self.tallies[column as usize] += EVENT + Tally::from(slot.sign());
             let first = mem::replace(&mut self.heads[column as usize], head);
             head = slot.next();
             *slot = slot.with_next(first);
         }
-        self.columns = columns;
+        columns
     }
 }
 
@@ -150,8 +163,8 @@ impl Iterator for Impulses<'_> {
 
     #[inline(always)]
     fn next(&mut self) -> Option<Impulse> {
-        // 0, the end of the list, is turned into an index beyond any buffer.
-        let slot = self.slots.get(self.next.wrapping_sub(1) as usize)?;
+        // The end of the list is a slot that no buffer has.
+        let slot = self.slots.get(self.next as usize)?;
         self.next = slot.next();
         Some(Impulse {
             offset_us: slot.offset_us(),

@@ -26,6 +26,7 @@ pub mod fixed_point;
 pub mod frame;
 pub mod group;
 pub mod ingest;
+mod intake;
 pub mod link;
 pub mod link_source;
 pub mod pack;

@@ -5,9 +5,8 @@ use core::num::NonZeroU32;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use crate::event::{Event, Sensor};
-use crate::evt2::{
-    EVENTS_END, Evt2Decoder, KIND_SHIFT, SIDE_BITS, SIDE_MASK, SPAN_US, Word, X_SHIFT, low_us,
-};
+use crate::evt2::{Evt2Decoder, SPAN_US, Word, X_SHIFT, is_event, low_us};
+use crate::intake::Intake;
 
 /// One buffered event: 8 bytes. All zero is a valid empty slot, so buffers live in `.bss`.
 #[derive(
@@ -18,11 +17,23 @@ use crate::evt2::{
 pub struct Slot {
     /// t - t0 in microseconds.
     offset_us: u32,
-    /// Index + 1 of the next slot of the list (26 bits), x modulo 32 (5 bits), polarity (1 bit).
+    /// From the top: the next slot of the list, x modulo 32 (5 bits), and in the lowest bit the
+    /// polarity. [`LINK`] has the places.
     link: u32,
 }
 
-const LINK_SHIFT: u32 = 6;
+/// Where a link's next slot and its x begin. On a microcontroller the former, of 16 bits, is a
+/// halfword, x is where an EVT 2.0 word has it, and the polarity has a byte for itself: each is
+/// taken, changed or added in one instruction. A host's slots have 24 bits.
+#[cfg(all(target_os = "none", target_pointer_width = "32"))]
+const LINK: (u32, u32) = (16, X_SHIFT);
+#[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
+const LINK: (u32, u32) = (8, 3);
+pub(crate) const NEXT_SHIFT: u32 = LINK.0;
+pub(crate) const COLUMN_SHIFT: u32 = LINK.1;
+/// The polarity's bits, of which the lowest is in use.
+const SIGN_BITS: u32 = if COLUMN_SHIFT < 8 { COLUMN_SHIFT } else { 8 };
+const _: () = assert!(COLUMN_SHIFT <= X_SHIFT && COLUMN_SHIFT + COLUMN_BITS <= NEXT_SHIFT);
 
 impl Slot {
     /// An empty slot.
@@ -31,13 +42,12 @@ impl Slot {
         link: 0,
     };
 
-    /// `next` as [`Self::next`], `on` 0 or 1.
+    /// `next` as [`Self::next`]; `column_and_sign` is x modulo 32 at [`COLUMN_SHIFT`], plus 1 for ON.
     #[inline]
-    const fn new(offset_us: u32, next: u32, x: u32, on: u32) -> Self {
-        let column = x % SEGMENT_PIXELS as u32;
+    pub(crate) const fn new(offset_us: u32, next: u32, column_and_sign: u32) -> Self {
         Self {
             offset_us,
-            link: (next << LINK_SHIFT) | (column << 1) | on,
+            link: (next << NEXT_SHIFT) | (column_and_sign & ((1 << NEXT_SHIFT) - 1)),
         }
     }
 
@@ -45,27 +55,23 @@ impl Slot {
         self.offset_us
     }
 
-    /// Index + 1 of the next slot, 0 at the end of the list.
+    /// The next slot, [`NO_SLOT`] at the end of the list.
     pub(crate) const fn next(self) -> u32 {
-        self.link >> LINK_SHIFT
+        self.link >> NEXT_SHIFT
     }
 
     pub(crate) const fn with_next(self, next: u32) -> Self {
-        let kept = self.column_and_sign();
-        Self {
-            offset_us: self.offset_us,
-            link: (next << LINK_SHIFT) | kept,
-        }
-    }
-
-    /// 2 (x modulo 32), plus 1 where it is ON.
-    pub(crate) const fn column_and_sign(self) -> u32 {
-        self.link & ((1 << LINK_SHIFT) - 1)
+        Self::new(self.offset_us, next, self.link)
     }
 
     /// x modulo 32.
     pub(crate) const fn column(self) -> u32 {
-        (self.link >> 1) & 31
+        (self.link >> COLUMN_SHIFT) % SEGMENT_PIXELS as u32
+    }
+
+    /// 1 for ON, 0 for OFF.
+    pub(crate) const fn sign(self) -> u32 {
+        self.link & ((1 << SIGN_BITS) - 1)
     }
 
     pub(crate) const fn is_on(self) -> bool {
@@ -73,20 +79,27 @@ impl Slot {
     }
 }
 
-const COLUMN_BITS: u32 = 5;
+pub(crate) const COLUMN_BITS: u32 = 5;
 /// Columns of a segment: the run of pixels whose events share one list.
 pub const SEGMENT_PIXELS: u16 = 1 << COLUMN_BITS;
 
 /// Most events that a window's buffer can hold: keeps |c|^2 of any pixel within 64 bits, and the
-/// 26 bits of a link address them.
+/// 24 bits of a link address them.
 pub const EVENTS_MAX: usize = (1 << 24) - 1;
 
-/// Index + 1 of a slot. On a microcontroller, whose windows are short, 16 bits halve the heads.
+/// A slot, all ones for none. On a microcontroller, whose windows are short, 16 bits halve the heads.
 #[cfg(all(target_os = "none", target_pointer_width = "32"))]
 pub type Head = u16;
-/// Index + 1 of a slot.
+/// A slot, all ones for none.
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
 pub type Head = u32;
+
+/// The end of a list, in place of a slot: beyond those of any window.
+pub(crate) const NO_SLOT: u32 = u32::MAX >> NEXT_SHIFT;
+const _: () = assert!(SLOTS_MAX <= NO_SLOT as usize);
+
+/// The head of an empty list.
+pub(crate) const NO_HEAD: Head = NO_SLOT as Head;
 
 /// Most slots of a window on this target: [`EVENTS_MAX`], or what a [`Head`] can address.
 pub const SLOTS_MAX: usize = if (Head::MAX as usize) < EVENTS_MAX {
@@ -101,11 +114,10 @@ pub const fn segments(width: u16, height: u16) -> usize {
     width.div_ceil(SEGMENT_PIXELS) as usize * height as usize
 }
 
-/// Words of the two-level bitmap over `segments`.
+/// Words of the bitmap over `segments`.
 #[must_use]
 pub const fn bitmap_words(segments: usize) -> usize {
-    let words = segments.div_ceil(32);
-    words + words.div_ceil(32)
+    segments.div_ceil(32)
 }
 
 /// Which sensor, and how long a window is.
@@ -174,6 +186,9 @@ impl<'b> WindowBuffers<'b> {
         )
     }
 }
+
+/// Words taken at once of a time that lies in a window in part.
+const STRADDLING_WORDS: usize = 64;
 
 const SLOT_WORDS: usize = size_of::<Slot>() / size_of::<u32>();
 
@@ -258,7 +273,8 @@ pub struct Window<'b> {
     slots: &'b mut [Slot],
     /// Exactly as many as the sensor has segments.
     heads: &'b mut [Head],
-    marks: Marks<'b>,
+    /// As many bits as there are segments, from [`FIRST`] on.
+    bitmap: &'b mut [u32],
     /// Segments in a row.
     stride: NonZeroU32,
     len: u32,
@@ -296,12 +312,18 @@ impl<'b> Window<'b> {
             return None;
         };
         let (heads, _) = heads.split_at_mut(segments);
-        let (bitmap, summary) = bitmap.split_at_mut(segments.div_ceil(32));
+        // Not 0, which is a slot: so an index needs no 1 off on its way.
+        let mut segment = 0;
+        while segment < segments {
+            heads[segment] = NO_HEAD;
+            segment += 1;
+        }
+        let (bitmap, _) = bitmap.split_at_mut(bitmap_words(segments));
         Some(Self {
             config,
             slots,
             heads,
-            marks: Marks { bitmap, summary },
+            bitmap,
             stride,
             len: 0,
             latest: Latest::NONE,
@@ -354,20 +376,21 @@ impl<'b> Window<'b> {
     fn store(&mut self, event: Event, offset_us: u32) {
         let x = u32::from(event.x);
         let segment = u32::from(event.y) * self.stride.get() + x / u32::from(SEGMENT_PIXELS);
-        let (Some(head), Some(slot)) = (
+        let (Some(head), Some(slot), Some(bits)) = (
             self.heads.get_mut(segment as usize),
             self.slots.get_mut(self.len as usize),
+            self.bitmap.get_mut(segment as usize / 32),
         ) else {
             debug_assert!(false, "the sensor and the capacity were checked");
             return;
         };
         let next = index(*head);
-        if next == 0 {
-            self.marks.add(segment);
-        }
-        *slot = Slot::new(offset_us, next, x, event.polarity as u32);
-        self.len += 1;
+        *bits |= FIRST.rotate_right(segment);
+        let column = x % u32::from(SEGMENT_PIXELS);
+        let column_and_sign = (column << COLUMN_SHIFT) | event.polarity as u32;
+        *slot = Slot::new(offset_us, next, column_and_sign);
         *head = self.len as Head;
+        self.len += 1;
         self.latest.event_us = self.latest.event_us.max(offset_us);
     }
 
@@ -380,11 +403,9 @@ impl<'b> Window<'b> {
         let mut taken = Taken::default();
         while taken.words < words.len() {
             let rest = &words[taken.words..];
-            if let Some(span_us) = self.whole_span(decoder) {
-                let before = self.len;
-                taken.words += self.store_words(decoder, span_us, rest);
-                taken.events += self.len - before;
-            }
+            let before = self.len;
+            taken.words += self.store_words(decoder, rest);
+            taken.events += self.len - before;
             // What ended the run: anything out of the ordinary.
             let Some(word) = words.get(taken.words) else {
                 break;
@@ -404,85 +425,68 @@ impl<'b> Window<'b> {
         taken
     }
 
-    /// Offset of the decoder's current time, where it and all times that a word can add to it lie
-    /// in the open window.
-    #[inline]
-    fn whole_span(&self, decoder: &Evt2Decoder) -> Option<u32> {
-        if self.closed.is_some() {
-            return None;
+    /// Stores events on the sensor while there are slots, and follows the decoder's time forwards
+    /// while it lies in the window; returns how many words it took.
+    fn store_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> usize {
+        let (Some(time_us), Some(start_us), None) = (decoder.span_us(), self.start_us, self.closed)
+        else {
+            return 0;
+        };
+        let window_us = i64::from(self.config.window_us);
+        let since_start = time_us.wrapping_sub(start_us) as i64;
+        let to_end = window_us.saturating_sub(since_start);
+        if since_start <= -i64::from(SPAN_US) || to_end <= 0 {
+            return 0;
         }
-        let since_start = decoder.span_us()?.checked_sub(self.start_us?)?;
-        let since_start = u32::try_from(since_start).ok()?;
-        (since_start < self.whole_spans_end_us()).then_some(since_start)
-    }
-
-    /// A span whose offset is below lies in the window as a whole.
-    #[inline]
-    const fn whole_spans_end_us(&self) -> u32 {
-        self.config.window_us.saturating_sub(SPAN_US - 1)
-    }
-
-    /// Stores events on the sensor while there are slots, `span_us` being the offset of the
-    /// decoder's time, and follows that time while it lies in the window; returns how many words
-    /// it took.
-    #[inline(never)]
-    fn store_words(
-        &mut self,
-        decoder: &mut Evt2Decoder,
-        mut span_us: u32,
-        words: &[[u8; 4]],
-    ) -> usize {
-        let end_us = self.whole_spans_end_us();
-        // x is compared where it is the upper bits of a word.
-        let width = u32::from(self.config.sensor.width) << (32 - SIDE_BITS);
-        let stride = self.stride.get();
-        let heads = &mut *self.heads;
-        let slots = &mut *self.slots;
-        let mut len = self.len;
-        let mut rest = words;
-        loop {
-            let free = slots.get_mut(len as usize..).unwrap_or_default();
-            let span_at = len;
-            for (word, slot) in rest.iter().zip(free) {
+        let (mut words, mut ahead_us) = (words, 0);
+        if since_start < 0 || to_end < i64::from(SPAN_US) {
+            // Some of the times that a word can add are not in the window: without the words of
+            // those, and of the next time, the rest is as always.
+            let inside = (-since_start).max(0) as u32..to_end.min(i64::from(SPAN_US)) as u32;
+            let is_inside = |word: &[u8; 4]| {
                 let word = u32::from_le_bytes(*word);
-                if word >= EVENTS_END || word << (32 - SIDE_BITS - X_SHIFT) >= width {
-                    break;
-                }
-                // An x on the sensor makes the segment's index tell whether y is.
-                let segment = (word & SIDE_MASK) * stride
-                    + ((word >> (X_SHIFT + COLUMN_BITS)) & (SIDE_MASK >> COLUMN_BITS));
-                let Some(head) = heads.get_mut(segment as usize) else {
-                    break;
-                };
-                let next = index(*head);
-                if next == 0 {
-                    self.marks.add(segment);
-                }
-                *slot = Slot::new(
-                    span_us + low_us(word),
-                    next,
-                    word >> X_SHIFT,
-                    word >> KIND_SHIFT,
-                );
-                len += 1;
-                *head = len as Head;
-            }
+                is_event(word) && inside.contains(&low_us(word))
+            };
+            // A few at a time: the first one off the sensor has the rest looked at again.
+            let few = words.iter().take(STRADDLING_WORDS);
+            let few = few.take_while(|word| is_inside(word)).count();
+            words = words.get(..few).unwrap_or_default();
+        } else {
+            ahead_us = (to_end - i64::from(SPAN_US)) as u32;
+        }
+        let span_us = since_start as u32;
+        let mut intake = Intake {
+            slots: self.slots,
+            heads: self.heads,
+            bitmap: self.bitmap,
+            width: self.config.sensor.width,
+            stride: self.stride,
+            len: self.len,
+            time: decoder.time_word(),
+            time_last: decoder.time_word_after(ahead_us),
+            span_us,
+            span_at: self.len,
+            before_us: 0,
+            before_at: self.len,
+        };
+        let taken = intake.take(words);
+        let Intake {
+            len,
+            time,
+            span_us,
+            span_at,
+            before_us,
+            before_at,
+            ..
+        } = intake;
+        self.latest.span(before_us, before_at, span_at);
+        // One from before the window is the first: no events are earlier than its own.
+        if since_start >= 0 {
             self.latest.span(span_us, span_at, len);
-            rest = rest.get((len - span_at) as usize..).unwrap_or_default();
-            let Some((word, after)) = rest.split_first() else {
-                break;
-            };
-            let Some(step_us) = decoder.advance(u32::from_le_bytes(*word)) else {
-                break;
-            };
-            rest = after;
-            match span_us.checked_add(step_us) {
-                Some(next_us) if next_us < end_us => span_us = next_us,
-                _ => break,
-            }
         }
         self.len = len;
-        words.len() - rest.len()
+        decoder.step_to_word(time);
+        taken
     }
 
     /// Largest offset of the events held, or less where that is below `at_least_us` anyway.
@@ -567,7 +571,7 @@ impl<'b> Window<'b> {
 
     /// Opens the next window; the segments must have been taken.
     pub(crate) fn reopen(&mut self) {
-        debug_assert!(self.marks.bitmap.iter().all(|word| *word == 0));
+        debug_assert!(self.bitmap.iter().all(|word| *word == 0));
         self.len = 0;
         self.latest = Latest::NONE;
         self.closed = None;
@@ -576,27 +580,21 @@ impl<'b> Window<'b> {
     /// Takes the next 32 segments of which some have events: the first one's index, and a bit for
     /// each.
     ///
-    /// The cost follows the segments that have events and 1/1024 of all segments.
+    /// The cost follows the segments that have events and 1/32 of all segments.
     #[inline]
     pub(crate) fn take_segments(&mut self, cursor: &mut usize) -> Option<(u32, u32)> {
-        while let Some(words) = self.marks.summary.get_mut(*cursor) {
-            if *words == 0 {
-                *cursor += 1;
-                continue;
-            }
-            let word = *cursor * 32 + words.trailing_zeros() as usize;
-            *words &= *words - 1;
-            let bits = core::mem::take(self.marks.bitmap.get_mut(word)?);
-            return Some((word as u32 * 32, bits));
-        }
-        None
+        let words = self.bitmap.get_mut(*cursor..)?;
+        let at = words.iter().position(|bits| *bits != 0)?;
+        let segment = (*cursor + at) as u32 * 32;
+        *cursor += at + 1;
+        Some((segment, core::mem::take(words.get_mut(at)?)))
     }
 
-    /// Takes a segment's list: index + 1 of its newest event.
+    /// Takes a segment's list: the slot of its newest event.
     #[inline]
     pub(crate) fn take_head(&mut self, segment: u32) -> u32 {
         let head = self.heads.get_mut(segment as usize);
-        head.map_or(0, |head| index(core::mem::take(head)))
+        head.map_or(NO_SLOT, |head| index(core::mem::replace(head, NO_HEAD)))
     }
 
     /// The buffered events.
@@ -652,29 +650,5 @@ pub(crate) const fn index(head: Head) -> u32 {
     head as u32
 }
 
-/// Which segments have events, in two levels.
-#[derive(Debug)]
-struct Marks<'b> {
-    /// One bit a segment.
-    bitmap: &'b mut [u32],
-    /// One bit a word of `bitmap`.
-    summary: &'b mut [u32],
-}
-
-impl Marks<'_> {
-    /// Notes that a segment has events. Not inlined: it is rarer than events, whose loop needs
-    /// every register.
-    #[inline(never)]
-    fn add(&mut self, segment: u32) {
-        let word = segment / 32;
-        let Some(bits) = self.bitmap.get_mut(word as usize) else {
-            return;
-        };
-        if *bits == 0
-            && let Some(words) = self.summary.get_mut(word as usize / 32)
-        {
-            *words |= 1 << (word % 32);
-        }
-        *bits |= 1 << (segment % 32);
-    }
-}
+/// The first of 32 in a word: the highest bit, since a word is turned and counted from there.
+pub(crate) const FIRST: u32 = 1 << 31;
