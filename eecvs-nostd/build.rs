@@ -1,11 +1,16 @@
-//! Sets `eecvs_dsp` where the core has Arm's DSP instructions; stable Rust does not tell.
+//! Sets `eecvs_dsp` where the core has Arm's DSP instructions, and `eecvs_intake_asm` where it also
+//! runs without an operating system; stable Rust does not tell the first.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rustc-check-cfg=cfg(eecvs_dsp)");
+    println!("cargo:rustc-check-cfg=cfg(eecvs_dsp, eecvs_intake_asm)");
     let target = std::env::var("TARGET").unwrap_or_default();
     // Cortex-M4 and M7. Thumb alone: the instructions' spelling is not that of other targets.
     if target.starts_with("thumbv7em-") {
         println!("cargo:rustc-cfg=eecvs_dsp");
+        // Its slots are those of a microcontroller.
+        if std::env::var("CARGO_CFG_TARGET_OS").is_ok_and(|os| os == "none") {
+            println!("cargo:rustc-cfg=eecvs_intake_asm");
+        }
     }
 }
