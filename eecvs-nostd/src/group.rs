@@ -157,7 +157,7 @@ impl Group {
     #[inline(always)]
     fn deal(&mut self, mut head: u32, slots: &mut [Slot]) -> u32 {
         let mut columns = 0;
-        // A list ends with `NO_SLOT`, which no buffer has.
+        // The end of a list is a slot that no buffer has.
         while let Some(slot) = slots.get_mut(head as usize) {
             let column = slot.column();
             columns |= 1 << column;
@@ -207,6 +207,7 @@ impl Iterator for Impulses<'_> {
 
     #[inline(always)]
     fn next(&mut self) -> Option<Impulse> {
+        // The end of the list is a slot that no buffer has.
         let slot = self.slots.get(self.next as usize)?;
         self.next = slot.next();
         Some(Impulse {

@@ -123,11 +123,11 @@ mod portable {
     }
 }
 
-/// The same in assembly, for the cores with Arm's DSP instructions. A compiler that has eleven numbers
-/// to keep, and four more for an event, keeps some of them in memory: this takes two thirds of the
-/// instructions.
+/// In assembly, for the cores with Arm's DSP instructions. An event needs fourteen registers, of which a
+/// compiler has thirteen and uses them less well: this takes two thirds of the instructions.
 ///
-/// The portable twin's frames are the image's frames: `firmware/src/bin/golden.rs`.
+/// Its frames are checked against events taken one by one, on the machine: see
+/// `firmware/src/bin/golden.rs`.
 #[cfg(eecvs_intake_asm)]
 #[allow(unsafe_code)]
 mod arm {

@@ -183,29 +183,29 @@ impl Packer {
         if seven_dsp::put(self, index, counts, cosines, writer) {
             return;
         }
-        self.seven_portable(index, counts, cosines, writer);
+        self.seven_portable(index, counts, (cosines.sums(), cosines.spread()), writer);
     }
 
     /// The same for a raster index.
     #[cfg_attr(eecvs_dsp, cold)]
     #[cfg_attr(eecvs_dsp, inline(never))]
     #[cfg_attr(not(eecvs_dsp), inline(always))]
-    pub(crate) fn seven_portable(
+    fn seven_portable(
         &mut self,
         index: u32,
         (on, off): (u32, u32),
-        cosines: &Cosines,
+        (sums, spread): (&[i32; 7], u32),
         writer: &mut BitWriter<'_>,
     ) {
         writer.aside(|writer| {
             let (code, code_bits) = self.place_code(index, (on, off), writer);
             let levels = Seven {
-                bits: cosines.sums(),
+                bits: sums,
                 shift: self.shift,
             };
             // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
             let most = width_of((on + off).wrapping_sub(1)) + self.one_bits;
-            let bits = (width_of(cosines.spread() >> (self.shift & 31)) + 1).min(most);
+            let bits = (width_of(spread >> (self.shift & 31)) + 1).min(most);
             let width_bits = most - bits + 1;
             if bits > 8 || code_bits + width_bits > 32 {
                 writer.put_clean(code, code_bits);
@@ -281,6 +281,26 @@ impl Packer {
         let shifted = self.gap.step(before.wrapping_add(self.gap.less));
         let cell = (rest >> 1, self.cells_log2);
         single_long((self.gap, shifted), rest & 1 == 1, cell, writer);
+    }
+
+    /// [`Self::seven`] of a pixel whose gap began from `before`.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn seven_from(
+        &mut self,
+        before: u32,
+        index: u32,
+        counts: (u32, u32),
+        sums: &[i32; 7],
+        writer: &mut BitWriter<'_>,
+    ) {
+        self.gap.before = before;
+        self.seven_portable(index, counts, (sums, rows::spread(sums)), writer);
+    }
+
+    /// What brings sums of [`rows`] to levels.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn level_shift(&self) -> u32 {
+        self.shift
     }
 
     /// Columns of the sensor.
@@ -416,7 +436,7 @@ impl Levels for DescriptorLevels<'_> {
 /// [`Packer::seven`] with everything in registers.
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
-pub(crate) mod seven_dsp {
+mod seven_dsp {
     use core::arch::naked_asm;
     use core::mem::offset_of;
 
@@ -457,7 +477,7 @@ pub(crate) mod seven_dsp {
     /// # Safety
     /// The words from `position.words` on are `WORDS_MAX` or more.
     #[unsafe(naked)]
-    pub(crate) unsafe extern "C" fn seven(
+    unsafe extern "C" fn seven(
         packer: &mut Packer,
         index: u32,
         counts: u32,

@@ -112,10 +112,9 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             trace.enter(Stage::Group);
             #[cfg(eecvs_dsp)]
             if !T::LISTENS {
-                let (packer, cosines) = (&mut self.packer, &mut self.cosines);
                 let room = (&mut *writer, FEW_WORDS_MAX);
                 let (some, places) =
-                    few_dsp::walk((group, window), self.scale, packer, cosines, room);
+                    few_dsp::walk((group, window), self.scale, &mut self.packer, room);
                 events += some;
                 pixels += places;
                 if !writer.has_words(FEW_WORDS_MAX) {

@@ -17,13 +17,14 @@ use crate::intake::Intake;
 pub struct Slot {
     /// t - t0 in microseconds.
     offset_us: u32,
-    /// From the top: the next slot of the list, x modulo 32 (5 bits), and in the
-    /// lowest bits the polarity.
+    /// From the top: the next slot of the list, x modulo 32 (5 bits), and in the lowest bit the
+    /// polarity. [`LINK`] has the places.
     link: u32,
 }
 
-/// Where a link's parts begin. On a microcontroller the next slot, of 16 bits, and x are where a
-/// halfword and an EVT 2.0 word have them, and the polarity has a byte for itself.
+/// Where a link's next slot and its x begin. On a microcontroller the former, of 16 bits, is a
+/// halfword, x is where an EVT 2.0 word has it, and the polarity has a byte for itself: each is
+/// taken, changed or added in one instruction. A host's slots have 24 bits.
 #[cfg(all(target_os = "none", target_pointer_width = "32"))]
 const LINK: (u32, u32) = (16, X_SHIFT);
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
@@ -41,12 +42,12 @@ impl Slot {
         link: 0,
     };
 
-    /// `next` as [`Self::next`]; `x_and_sign` is x from bit [`COLUMN_SHIFT`] on, plus 1 for ON.
+    /// `next` as [`Self::next`]; `column_and_sign` is x modulo 32 at [`COLUMN_SHIFT`], plus 1 for ON.
     #[inline]
-    pub(crate) const fn new(offset_us: u32, next: u32, x_and_sign: u32) -> Self {
+    pub(crate) const fn new(offset_us: u32, next: u32, column_and_sign: u32) -> Self {
         Self {
             offset_us,
-            link: (next << NEXT_SHIFT) | (x_and_sign & ((1 << NEXT_SHIFT) - 1)),
+            link: (next << NEXT_SHIFT) | (column_and_sign & ((1 << NEXT_SHIFT) - 1)),
         }
     }
 
@@ -83,7 +84,7 @@ pub(crate) const COLUMN_BITS: u32 = 5;
 pub const SEGMENT_PIXELS: u16 = 1 << COLUMN_BITS;
 
 /// Most events that a window's buffer can hold: keeps |c|^2 of any pixel within 64 bits, and the
-/// 26 bits of a link address them.
+/// 24 bits of a link address them.
 pub const EVENTS_MAX: usize = (1 << 24) - 1;
 
 /// A slot, all ones for none. On a microcontroller, whose windows are short, 16 bits halve the heads.
@@ -93,7 +94,7 @@ pub type Head = u16;
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
 pub type Head = u32;
 
-/// The end of a list: where the next slot would be, all ones. Of no window, none has as many slots.
+/// The end of a list, in place of a slot: beyond those of any window.
 pub(crate) const NO_SLOT: u32 = u32::MAX >> NEXT_SHIFT;
 const _: () = assert!(SLOTS_MAX <= NO_SLOT as usize);
 
@@ -311,6 +312,7 @@ impl<'b> Window<'b> {
             return None;
         };
         let (heads, _) = heads.split_at_mut(segments);
+        // Not 0, which is a slot: so an index needs no 1 off on its way.
         let mut segment = 0;
         while segment < segments {
             heads[segment] = NO_HEAD;
@@ -438,7 +440,8 @@ impl<'b> Window<'b> {
         }
         let (mut words, mut ahead_us) = (words, 0);
         if since_start < 0 || to_end < i64::from(SPAN_US) {
-            // Some of the times that a word can add are not in the window.
+            // Some of the times that a word can add are not in the window: without the words of
+            // those, and of the next time, the rest is as always.
             let inside = (-since_start).max(0) as u32..to_end.min(i64::from(SPAN_US)) as u32;
             let is_inside = |word: &[u8; 4]| {
                 let word = u32::from_le_bytes(*word);
@@ -446,7 +449,8 @@ impl<'b> Window<'b> {
             };
             // A few at a time: the first one off the sensor has the rest looked at again.
             let few = words.iter().take(STRADDLING_WORDS);
-            words = &words[..few.take_while(|word| is_inside(word)).count()];
+            let few = few.take_while(|word| is_inside(word)).count();
+            words = words.get(..few).unwrap_or_default();
         } else {
             ahead_us = (to_end - i64::from(SPAN_US)) as u32;
         }
@@ -476,6 +480,7 @@ impl<'b> Window<'b> {
             ..
         } = intake;
         self.latest.span(before_us, before_at, span_at);
+        // One from before the window is the first: no events are earlier than its own.
         if since_start >= 0 {
             self.latest.span(span_us, span_at, len);
         }

@@ -26,12 +26,21 @@ pub const GRID: usize = 8;
 const ATOMS: usize = GRID - 1;
 /// Rows from u = 0 to u = 1/2.
 const ROWS: usize = 1 << ROWS_LOG2;
-const ROWS_LOG2: u32 = 9;
+pub(crate) const ROWS_LOG2: u32 = 9;
 
 /// -cos in units of [`ONE`] in the upper half, slope per row with 15 fractional bits in the lower.
 type Line = u32;
 
-static LINES: [[Line; ATOMS]; ROWS] = lines();
+/// The table.
+pub(crate) type Lines = [[Line; ATOMS]; ROWS];
+
+static LINES: Lines = table();
+
+/// The table.
+#[cfg(eecvs_dsp)]
+pub(crate) const fn lines() -> &'static Lines {
+    &LINES
+}
 
 /// Fractional bits of a sum: 64 atoms of a chunk stay below 2^31.
 const FRACTION_BITS: u32 = 25;
@@ -39,9 +48,13 @@ const _: () = assert!(CHUNK_EVENTS << FRACTION_BITS <= 1 << 31);
 /// Fractional bits beyond those of [`Sum`].
 pub const MORE_BITS: u32 = FRACTION_BITS - 23;
 /// Bits of the distance from a row, whose weight is 1 for a whole row.
-const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
+pub(crate) const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
+/// Where the row begins in 30 bits of u / 2, and the distance below it.
+pub(crate) const ROW_AT: u32 = 30 - ROWS_LOG2;
+/// Where the distance begins.
+pub(crate) const DISTANCE_AT: u32 = ROW_AT - DISTANCE_BITS;
 /// Weight of the cosine. Not 2^10, whose multiples are up to 2^-15 away from the largest atom.
-const ONE: i32 = 1056;
+pub(crate) const ONE: i32 = 1056;
 /// Largest atom: |c_k| < n is what lets the levels of n events do without a bit for n itself.
 const ATOM_MAX: i32 = (1 << FRACTION_BITS) - 1;
 
@@ -63,8 +76,8 @@ impl Weighted {
         // All ones in the second half of the window, which is turned round: 30 bits are left.
         let turned = ((half << 1) as i32 >> 31) as u32;
         let from_edge = half ^ turned;
-        let row = (from_edge >> (30 - ROWS_LOG2)) as usize % ROWS;
-        let distance = (from_edge >> (30 - ROWS_LOG2 - DISTANCE_BITS)) % (1 << DISTANCE_BITS);
+        let row = (from_edge >> ROW_AT) as usize % ROWS;
+        let distance = (from_edge >> DISTANCE_AT) % (1 << DISTANCE_BITS);
         let weights = ((ONE as u32) << 16) | distance;
         // The table's cosines are negative: it is ON that turns them.
         let negative = u32::from(is_on).wrapping_neg();
@@ -108,7 +121,7 @@ pub fn cosines(
 pub struct Cosines {
     shift: u32,
     reciprocal: u32,
-    lines: &'static [[Line; ATOMS]; ROWS],
+    lines: &'static Lines,
     sums: [i32; ATOMS],
     spread: u32,
 }
@@ -152,8 +165,7 @@ impl Cosines {
         self.sums = cosines(impulses.clone(), |impulse| {
             PhaseScale::half_of(impulse.offset_us, shift, reciprocal)
         });
-        let spread = |all, sum: &i32| all | (sum ^ (sum >> 31));
-        self.spread = self.sums.iter().fold(0, spread) as u32;
+        self.spread = spread(&self.sums);
     }
 
     /// The same bits with all sums in registers, which leaves the compiler too few for the rest: it
@@ -170,6 +182,13 @@ impl Cosines {
     }
 }
 
+/// The bits that are not copies of the sign, of any of `sums`.
+#[inline(always)]
+pub(crate) fn spread(sums: &[i32; ATOMS]) -> u32 {
+    let spread = |all, sum: &i32| all | (sum ^ (sum >> 31));
+    sums.iter().fold(0, spread) as u32
+}
+
 /// [`Cosines::sum`] from the slot at `index` on, as [`Weighted::new`] and [`Weighted::add`] have it.
 ///
 /// # Safety
@@ -177,12 +196,7 @@ impl Cosines {
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
 #[unsafe(naked)]
-pub(crate) unsafe extern "C" fn cosines_dsp(
-    slots: *const Slot,
-    len: usize,
-    index: u32,
-    work: &mut Cosines,
-) {
+unsafe extern "C" fn cosines_dsp(slots: *const Slot, len: usize, index: u32, work: &mut Cosines) {
     core::arch::naked_asm!(
         "push {{r4-r11, lr}}",
         "mov lr, r2",
@@ -260,10 +274,10 @@ pub(crate) unsafe extern "C" fn cosines_dsp(
         "str r0, [r1]",
         "add sp, #20",
         "pop {{r4-r11, pc}}",
-        distance_at = const 30 - ROWS_LOG2 - DISTANCE_BITS,
+        distance_at = const DISTANCE_AT,
         distance_bits = const DISTANCE_BITS,
         one = const ONE << 16,
-        row_at = const 30 - ROWS_LOG2,
+        row_at = const ROW_AT,
         rows_log2 = const ROWS_LOG2,
         next_at = const NEXT_SHIFT,
     )
@@ -282,7 +296,7 @@ pub const fn sum(bits: i32) -> Sum {
 }
 
 /// The table in constant evaluation: the same bits on every machine.
-const fn lines() -> [[Line; ATOMS]; ROWS] {
+const fn table() -> Lines {
     let mut lines = [[0; ATOMS]; ROWS];
     let mut row = 0;
     while row < ROWS {
