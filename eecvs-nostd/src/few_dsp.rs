@@ -32,6 +32,8 @@ struct Walk<'w, 's, 'o> {
     single_bits: u32,
     /// From sums to levels.
     level_shift: u32,
+    /// Bits of a level of one event, and one.
+    level_bits: u32,
     /// Raster index of the first column of the segment at hand.
     base: u32,
     slots: *const Slot,
@@ -62,7 +64,8 @@ pub fn walk(
 ) -> (u32, u32) {
     let (phase_shift, reciprocal) = scale.parts();
     let cells_log2 = packer.cells_log2();
-    let (width, level_shift) = (packer.width(), packer.level_shift());
+    let (level_shift, level_bits) = packer.level_parts();
+    let width = packer.width();
     let writer: *mut BitWriter<'_> = writer;
     // SAFETY: the pointer is that of the reference; both parts are reached through it alone.
     let (position, words, words_len) = unsafe { BitWriter::raw_parts(writer) };
@@ -74,6 +77,7 @@ pub fn walk(
         cell_shift: 31 - cells_log2,
         single_bits: cells_log2 + 2,
         level_shift,
+        level_bits,
         base: 0,
         slots: core::ptr::null(),
         packer,
@@ -102,9 +106,9 @@ pub fn walk(
 const _: () = assert!(SLOTS_MAX <= 0xffff && NO_SLOT == 0xffff);
 const _: () = assert!(size_of::<Slot>() == 8 && NEXT_SHIFT == 16 && CHUNK_EVENTS == 64);
 const _: () = assert!(offset_of!(Lists, tallies) == 128 && size_of::<Lists>() == 256);
-const _: () = assert!(offset_of!(Walk<'_, '_, '_>, base) == 28);
-const _: () = assert!(offset_of!(Walk<'_, '_, '_>, columns) == 52);
-const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 56);
+const _: () = assert!(offset_of!(Walk<'_, '_, '_>, base) == 32);
+const _: () = assert!(offset_of!(Walk<'_, '_, '_>, columns) == 56);
+const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 60);
 
 /// The next segment's columns, 0 where there is none; its base, slots and lists.
 unsafe extern "C" fn next_segment(walk: &mut Walk<'_, '_, '_>) -> u32 {
@@ -171,14 +175,15 @@ macro_rules! put {
     };
 }
 
-/// Adds the atoms of the slot at lr to r4 to r10, `$add` being `smlad`, or `smuad` to begin; lr is
-/// its link then. As `rows::cosines` does. r0: slots.
+/// Adds the atoms of the slot at `$slot` to r4 to r10, or begins with them; lr is its link then. As `rows::cosines` does. r0: slots.
 macro_rules! event {
-    ($begin:literal, $r4:literal, $r5:literal, $r6:literal, $r7:literal, $r8:literal, $r9:literal,
+    ($slot:literal, $begin:literal, $r4:literal, $r5:literal, $r6:literal, $r7:literal, $r8:literal, $r9:literal,
         $r10:literal) => {
         concat!(
             // r1: u / 2; lr: the link.
-            "add r1, r0, lr, lsl #3\n",
+            "add r1, r0, ",
+            $slot,
+            ", lsl #3\n",
             "ldrd r1, lr, [r1]\n",
             "ldrd r2, r3, [sp, #40]\n",
             "lsls r1, r2\n",
@@ -199,8 +204,7 @@ macro_rules! event {
             // r1: the row.
             "ubfx r1, r1, #{row_at}, #{rows_log2}\n",
             "ldr r2, [sp, #36]\n",
-            "rsb r1, r1, r1, lsl #3\n",
-            "add r1, r2, r1, lsl #2\n",
+            "add r1, r2, r1, lsl #5\n",
             "ldrd r2, r3, [r1]\n",
             $begin,
             " r4, r2, r11",
@@ -246,23 +250,23 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         // r4: columns; r5: base; r6: slots; r7: packer; r8: lists; r9: position; r10: words;
         // r11: the counts.
         // At sp: 0 to 20 r5 to r10; 24 r4, 28 r11; 32 limit, 36 lines, 40 phase_shift,
-        // 44 reciprocal, 48 cell_shift, 52 single_bits, 56 level_shift; 60 walk; 64 index,
-        // 68 tally, 72 the gap before; 76 code, 80 its bits, 84 bits of the widest level.
+        // 44 reciprocal, 48 cell_shift, 52 single_bits, 56 level_shift, 60 level_bits; 64 walk;
+        // 68 index, 72 tally, 76 the gap before; 80 code, 84 its bits but for the levels' width.
         "push {{r4-r11, lr}}",
         "sub sp, #92",
-        "str r0, [sp, #60]",
-        "ldm r0, {{r1-r7}}",
+        "str r0, [sp, #64]",
+        "ldm r0, {{r1-r8}}",
         "add r12, sp, #32",
-        "stm r12, {{r1-r7}}",
+        "stm r12, {{r1-r8}}",
         "mov r11, #0",
         // The next segment.
         "6:",
-        "ldr r0, [sp, #60]",
+        "ldr r0, [sp, #64]",
         "bl {next_segment}",
         "movs r4, r0",
         "beq 8f",
-        "ldr r0, [sp, #60]",
-        "adds r0, #28",
+        "ldr r0, [sp, #64]",
+        "adds r0, #32",
         "ldm r0, {{r5-r10}}",
         "stm sp, {{r5-r10}}",
         // The next pixel. r0: raster index; r1: its list; r2: the first slot; r3: its offset;
@@ -334,7 +338,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "cmp r4, #0",
         "bne 1b",
         "b 6b",
-        // Several events; r3: the tally; lr: the first slot.
+        // Several events; r3: the tally.
         "4:",
         "ldr r3, [r1, #128]",
         "cmp r3, #{crowded}",
@@ -344,27 +348,25 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "add r11, r11, #0x10000",
         "add r11, r11, r3, lsr #16",
         "strd r4, r11, [sp, #24]",
-        "strd r0, r3, [sp, #64]",
-        "mov lr, r2",
+        "strd r0, r3, [sp, #68]",
         // r4: the code; r8: its bits. The gap first, and a 1 above it.
         "ldm r7, {{r4, r5, r6, r8}}",
-        "str r4, [sp, #72]",
+        "str r4, [sp, #76]",
         "subs r4, r0, r4",
         "subs r0, r0, r5",
         "str r0, [r7]",
         "clz r5, r4",
         "subs r6, r6, r5",
         "sub r8, r8, r5, lsl #1",
-        "adds r4, r4, r4",
-        "adds r4, #1",
+        "mov r12, #1",
+        "add r4, r12, r4, lsl #1",
         "lsls r4, r6",
         // n, whose code has its 1 from the gap's; r3: n, r9: ON events.
         "uxth r9, r3",
         "lsrs r3, r3, #16",
         "clz r5, r3",
         "rsb r5, r5, #31",
-        "adds r6, r3, r3",
-        "adds r6, #1",
+        "add r6, r12, r3, lsl #1",
         "lsls r6, r5",
         "subs r6, #1",
         "lsl r6, r6, r8",
@@ -376,25 +378,25 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "lsl r9, r9, r8",
         "add r4, r4, r9",
         "add r8, r8, r5",
-        "add r8, r8, #1",
-        "strd r4, r8, [sp, #76]",
-        // r5: bits of the widest level that there can be.
+        // The levels' width has as many bits as the widest possible has more than the widest one,
+        // and one: bits of a level of one event, less the leading zeros of n - 1, plus those of the
+        // widest one.
         "subs r3, #1",
         "clz r5, r3",
-        "ldr r6, [r7, #16]",
-        "rsb r5, r5, #32",
-        "adds r5, r5, r6",
-        "str r5, [sp, #84]",
+        "ldr r6, [sp, #60]",
+        "sub r8, r8, r5",
+        "add r8, r8, r6",
+        "strd r4, r8, [sp, #80]",
         "ldr r0, [sp, #4]",
-        event!("smuad", "", "", "", "", "", "", ""),
+        event!("r2", "smuad", "", "", "", "", "", "", ""),
         "lsr lr, lr, #16",
         "3:",
-        event!("smlad", ", r4", ", r5", ", r6", ", r7", ", r8", ", r9", ", r10"),
+        event!("lr", "smlad", ", r4", ", r5", ", r6", ", r7", ", r8", ", r9", ", r10"),
         // The carry tells the end of the list.
         "adds r2, lr, #0x10000",
         "lsr lr, lr, #16",
         "bcc 3b",
-        // r0: the bits that are not copies of the sign, of any of the sums; bits of a level.
+        // r1: leading zeros of the bits that are not copies of the sign, of any of the levels.
         "eor r0, r4, r4, asr #31",
         "eor r1, r5, r5, asr #31",
         "orrs r0, r1",
@@ -410,24 +412,19 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "orrs r0, r1",
         "ldr r2, [sp, #56]",
         "lsrs r0, r2",
-        "clz r0, r0",
-        "ldrd r11, r1, [sp, #80]",
-        "rsb r0, r0, #33",
-        "cmp r0, r1",
-        "it hi",
-        "movhi r0, r1",
+        "clz r1, r0",
+        // r0: bits of a level; r3: the code with the levels' width; r11: its bits.
+        "ldrd r3, r11, [sp, #80]",
+        "rsb r0, r1, #33",
+        "add r11, r11, r1",
         "cmp r0, #10",
         "bhi 9f",
-        // r3: the code with the levels' width; r11: its bits.
-        "ldr r3, [sp, #76]",
-        "subs r1, r1, r0",
-        "add r11, r11, r1",
-        "movs r1, #1",
-        "lsl r12, r1, r11",
-        "orr r3, r3, r12",
-        "add r11, r11, #1",
         "cmp r11, #32",
         "bhi 9f",
+        "movs r1, #1",
+        "sub r12, r11, #1",
+        "lsl r12, r1, r12",
+        "orr r3, r3, r12",
         "asrs r4, r2",
         "asrs r5, r2",
         "asrs r6, r2",
@@ -498,10 +495,10 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "b 3b",
         // Rarely: wide levels or a long place.
         "9:",
-        "ldr r0, [sp, #60]",
-        "add r1, r0, #56",
+        "ldr r0, [sp, #64]",
+        "add r1, r0, #60",
         "stm r1, {{r4-r10}}",
-        "add r1, sp, #64",
+        "add r1, sp, #68",
         "ldm r1, {{r1-r3}}",
         "bl {seven_long}",
         "ldm sp, {{r5-r10}}",
@@ -512,7 +509,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "add r11, r11, #0x10001",
         "mov r1, r0",
         "mov r2, r3",
-        "ldr r0, [sp, #60]",
+        "ldr r0, [sp, #64]",
         "bl {single_long}",
         "10:",
         "ldr r0, [r9]",
@@ -530,8 +527,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "lsls r1, r0",
         "orrs r4, r1",
         "8:",
-        "ldr r0, [sp, #60]",
-        "str r4, [r0, #52]",
+        "ldr r0, [sp, #64]",
+        "str r4, [r0, #56]",
         "mov r0, r11",
         "add sp, #92",
         "pop {{r4-r11, pc}}",

@@ -88,7 +88,7 @@ impl Group {
     pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
         let columns = match NonZeroU32::new(self.columns) {
             Some(columns) => columns,
-            None => self.next_segment(window)?,
+            None => self.next_segment_apart(window)?,
         };
         let column = columns.trailing_zeros();
         self.columns = columns.get() & (columns.get() - 1);
@@ -115,6 +115,7 @@ impl Group {
     /// Columns of the segment at hand that were not visited, or of the next one; 0 after the last.
     /// They count as visited until [`Self::leave`].
     #[cfg(eecvs_dsp)]
+    #[inline(always)]
     pub(crate) fn enter(&mut self, window: &mut Window<'_>) -> u32 {
         match mem::take(&mut self.columns) {
             0 => self.next_segment(window).map_or(0, NonZeroU32::get),
@@ -140,8 +141,13 @@ impl Group {
         &mut self.lists
     }
 
-    /// Goes to the next segment and returns its columns.
     #[inline(never)]
+    fn next_segment_apart(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
+        self.next_segment(window)
+    }
+
+    /// Goes to the next segment and returns its columns.
+    #[inline(always)]
     fn next_segment(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
         if self.segments == 0 {
             (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;

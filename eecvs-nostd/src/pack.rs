@@ -297,10 +297,10 @@ impl Packer {
         self.seven_portable(index, counts, (sums, rows::spread(sums)), writer);
     }
 
-    /// What brings sums of [`rows`] to levels.
+    /// What brings sums of [`rows`] to levels; bits of a level of one event and one.
     #[cfg(eecvs_dsp)]
-    pub(crate) const fn level_shift(&self) -> u32 {
-        self.shift
+    pub(crate) const fn level_parts(&self) -> (u32, u32) {
+        (self.shift, self.one_bits + 1)
     }
 
     /// Columns of the sensor.
