@@ -126,6 +126,11 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             };
             let slots = window.slots();
             let here = pixel.on + pixel.off;
+            if cfg!(eecvs_dsp) && !T::LISTENS && here <= CHUNK_EVENTS_U32 {
+                // Never: the walk has all of these.
+                group.put_back(pixel);
+                break;
+            }
             match here {
                 1 => self.encode_single::<Dct, T>(pixel, slots, writer, trace),
                 2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),

@@ -120,9 +120,9 @@ impl Basis for Dwt {
     /// the finest are kept: K cells tell them. None where the finest is not kept or so far below
     /// the step that its level is 0.
     fn cells_log2(shape: Shape) -> u32 {
-        let cells_log2 = shape.grid.ilog2();
+        let cells_log2 = (shape.grid | 1).ilog2();
         let is_told = coarsest_kept(cells_log2, shape.r) < cells_log2
-            && shape.quantiser.haar(1, cells_log2 - 1) != 0;
+            && shape.quantiser.haar(1, cells_log2.saturating_sub(1)) != 0;
         if is_told { cells_log2 } else { 0 }
     }
 
@@ -132,7 +132,7 @@ impl Basis for Dwt {
     }
 
     fn single(u: f64, sign: f64, shape: Shape, mut each: impl FnMut(u16, f64, f64)) {
-        let scales = shape.grid.ilog2();
+        let scales = (shape.grid | 1).ilog2();
         // Among the r largest, since only the `scales - 1` finest come before it.
         if shape.r >= scales as usize {
             each(0, sign, 0.0);

@@ -1,6 +1,7 @@
 //! The golden vectors on the target: the same bits as on the host, or the image exits with an
-//! error; and words taken in runs, for which some targets have code of their own, against words
-//! taken one by one. For QEMU.
+//! error; and what some targets have code of their own for against what is portable: words taken in
+//! runs against words taken one by one, and the walk of the eight-coefficient DCT against the one
+//! that a trace listens to. For QEMU.
 #![no_std]
 #![no_main]
 
@@ -12,8 +13,8 @@ use critical_section::Mutex;
 use eecvs_firmware as _;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{
-    Config, Encoder, Event, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Sensor, Storage,
-    Thresholds, Transform, WindowConfig, bitmap_words, segments,
+    Config, Encoder, Event, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Sensor, Stage, Storage,
+    Thresholds, Trace, Transform, WindowConfig, bitmap_words, segments,
 };
 
 /// A golden vector: `tests/golden.rs` describes it.
@@ -29,7 +30,9 @@ struct Golden {
 
 include!(concat!(env!("OUT_DIR"), "/golden.rs"));
 
-const SEGMENTS: usize = segments(40, 3);
+/// The sensor of the walks: wide enough for long gaps.
+const WIDE: (u16, u16) = (2048, 8);
+const SEGMENTS: usize = segments(WIDE.0, WIDE.1);
 type Small = Storage<400, SEGMENTS, { bitmap_words(SEGMENTS) }, 64>;
 
 static STORAGE: Mutex<RefCell<Small>> = Mutex::new(RefCell::new(Small::new()));
@@ -52,6 +55,12 @@ fn main() -> ! {
                 failed += 1;
             }
         }
+        for seed in 0..WALKS {
+            if !walks_hold(seed, &mut storage) {
+                hprintln!("golden: walk {} differs", seed);
+                failed += 1;
+            }
+        }
         failed == 0 && !GOLDEN.is_empty()
     });
     loop {
@@ -63,6 +72,7 @@ fn main() -> ! {
     }
 }
 
+#[inline(never)]
 fn holds(golden: &Golden, storage: &mut Small) -> bool {
     let Some(config) = config(golden) else {
         return false;
@@ -151,6 +161,7 @@ impl Iterator for Words {
 }
 
 /// Whether words in runs of any length give the frames of words one by one.
+#[inline(never)]
 fn runs_hold(seed: u32, storage: &mut Small) -> bool {
     // Some windows close early, some of those at an event that is not the latest.
     let window_us = [3000, 100 + seed, 1 << 20][seed as usize % 3];
@@ -213,6 +224,61 @@ fn runs_hold(seed: u32, storage: &mut Small) -> bool {
     in_runs == one_by_one && in_runs.events > 0
 }
 
+const WALKS: u32 = 60;
+const WALK_EVENTS: u32 = 3000;
+
+/// A trace that asks for the portable walk.
+struct Listener;
+
+impl Trace for Listener {
+    fn enter(&mut self, _: Stage) {}
+}
+
+/// Whether both walks give the same frames: single events and crowded pixels, all of one polarity
+/// and mixed, neighbours and far apart, at every kind of step.
+#[inline(never)]
+fn walks_hold(seed: u32, storage: &mut Small) -> bool {
+    let golden = Golden {
+        width: WIDE.0,
+        height: WIDE.1,
+        transform: Transform::Dct.name(),
+        m: 8,
+        events: &[],
+        frames: &[],
+    };
+    let Some(mut config) = config(&golden) else {
+        return false;
+    };
+    let step_log2 = [-6, -15, -10, -3, 0][seed as usize % 5];
+    let Some(quantiser) = Quantiser::new(step_log2) else {
+        return false;
+    };
+    config.quantiser = quantiser;
+    let digest = |storage: &mut Small, listens: bool| {
+        let mut digest = Digest::NONE;
+        let mut encoder = storage.encoder(config).ok()?;
+        let mut random = Words::new(seed);
+        for i in 0..WALK_EVENTS {
+            let columns = [4, 40, 2048][(seed / 5) as usize % 3];
+            let event = Event {
+                t_us: u64::from(i * 64 + random.below(100)),
+                x: (random.below(columns) + random.below(2) * (2048 - columns)) as u16,
+                y: (random.below(2) * 7) as u16,
+                // Of one polarity in every other one.
+                polarity: Polarity::from_bool(seed.is_multiple_of(2) || random.below(2) == 0),
+            };
+            while encoder.push(event) == Push::Closed {
+                digest.take_as(&mut encoder, listens);
+            }
+        }
+        encoder.flush();
+        digest.take_as(&mut encoder, listens);
+        Some(digest)
+    };
+    let portable = digest(storage, true);
+    portable.is_some_and(|digest| digest.events > 0) && digest(storage, false) == portable
+}
+
 /// What is compared of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Digest {
@@ -229,8 +295,19 @@ impl Digest {
     };
 
     fn take(&mut self, encoder: &mut Encoder<'_>) {
+        self.take_as(encoder, false);
+    }
+
+    fn take_as(&mut self, encoder: &mut Encoder<'_>, listens: bool) {
         let mut out = [0; OUTPUT_BYTES_MIN];
-        while let Ok(Some(frame)) = encoder.next_frame(&mut out) {
+        let mut next = |out: &mut [u8]| {
+            if listens {
+                encoder.next_frame_traced(out, &mut Listener)
+            } else {
+                encoder.next_frame(out)
+            }
+        };
+        while let Ok(Some(frame)) = next(&mut out) {
             self.frames += 1;
             self.events += frame.header.events;
             for byte in out.get(frame.range).unwrap_or_default() {
