@@ -2,7 +2,8 @@
 # Counts the instructions of every stage on a Cortex-M4 in QEMU: firmware/instructions.sh [--save|--check]
 #
 #            prints the table; the counts are in firmware/target/instructions.json
-#   --save   also takes them over into firmware/instructions.json, which is committed
+#   --save   also takes them over into firmware/instructions.json, which is committed, and from there
+#            into the README's tables
 #   --check  compares with those and fails where a stage has grown by over 3 %
 #
 # The windows are cut from the recordings in ../shared/data, where they are there, and always from
@@ -13,7 +14,7 @@ cd "$(dirname "$0")"
 action=${1:-}
 case $action in
     '' | --save | --check) ;;
-    *) sed -n '2,6s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+    *) sed -n '2,7s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
 esac
 
 tool() { cargo run --quiet --release --locked --manifest-path ../Cargo.toml -p eecvs-tests --bin instructions -- "$@"; }
@@ -35,6 +36,9 @@ timeout 300 qemu-system-arm -M netduinoplus2 -display none -monitor none -serial
 tool verify "$counts" target/cuts
 tool table "$counts"
 case $action in
-    --save) tool save "$counts" instructions.json ;;
+    --save)
+        tool save "$counts" instructions.json
+        tool readme instructions.json ../README.md
+        ;;
     --check) tool check "$counts" instructions.json ;;
 esac

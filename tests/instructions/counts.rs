@@ -40,6 +40,26 @@ impl Run {
         (&self.origin, &self.cut, &self.transform, self.m)
     }
 
+    /// Instructions per event, from the first word to the last byte.
+    pub fn per_event(&self) -> f64 {
+        self.whole as f64 / self.events as f64
+    }
+
+    /// Instructions per active pixel, from the first word to the last byte.
+    pub fn per_pixel(&self) -> f64 {
+        self.whole as f64 / self.pixels as f64
+    }
+
+    /// Instructions of a stage per event.
+    pub fn stage_per_event(&self, stage: &str) -> f64 {
+        self.stages.get(stage).copied().unwrap_or(0) as f64 / self.events as f64
+    }
+
+    /// Events per active pixel.
+    pub fn events_per_pixel(&self) -> f64 {
+        self.events as f64 / self.pixels as f64
+    }
+
     /// The whole and the stages, by name.
     fn figures(&self) -> impl Iterator<Item = (&str, u64)> {
         let stages = self.stages.iter().map(|(name, n)| (name.as_str(), *n));
@@ -121,22 +141,20 @@ impl Counts {
         }
         let _ = writeln!(text, " {:>7} {:>7} {:>7}", "sum", "whole", "per px");
         for run in &self.0 {
-            let per_event = |n: u64| n as f64 / run.events as f64;
             let _ = write!(
                 text,
                 "{:10} {:8} {:4} {:>2} {:>6} {:>6}",
                 run.origin, run.cut, run.transform, run.m, run.events, run.pixels
             );
             for stage in stages {
-                let n = run.stages.get(stage).copied().unwrap_or(0);
-                let _ = write!(text, " {:>10.1}", per_event(n));
+                let _ = write!(text, " {:>10.1}", run.stage_per_event(stage));
             }
             let _ = writeln!(
                 text,
                 " {:>7.1} {:>7.1} {:>7.1}",
-                per_event(run.stages.values().sum()),
-                per_event(run.whole),
-                run.whole as f64 / run.pixels as f64
+                run.stages.values().sum::<u64>() as f64 / run.events as f64,
+                run.per_event(),
+                run.per_pixel()
             );
         }
         text

@@ -7,10 +7,12 @@
 //! instructions table COUNTS                COUNTS, as the image prints them, as a table
 //! instructions save COUNTS SAVED           COUNTS into SAVED; an origin that was not measured stays
 //! instructions check COUNTS SAVED          exit 1 where a stage has grown
+//! instructions readme SAVED README         the tables of SAVED into README
 //! ```
 
 mod counts;
 mod cuts;
+mod readme;
 mod verify;
 
 use std::path::Path;
@@ -51,6 +53,9 @@ fn main() -> anyhow::Result<ExitCode> {
             if comparison.has_failed() {
                 return Ok(ExitCode::FAILURE);
             }
+        }
+        ["readme", saved, path] => {
+            readme::write(&Counts::read(Path::new(saved))?, Path::new(path))?;
         }
         _ => bail!("usage: instructions cuts|table|save|check ...; see the head of its source"),
     }
