@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use eecvs_nostd::{Config, Quantiser, Thresholds, Transform, WindowConfig};
 use host_harness::calibrate::Calibration;
 use host_harness::decode::WindowReader;
-use host_harness::encode::{Limits, encode};
+use host_harness::encode::{Limits, all_cores, encode};
 use host_harness::formats;
 use host_harness::frame_file::FrameReader;
 use host_harness::reconstruct::{DecodedWindow, Pixel};
@@ -48,6 +48,7 @@ fn frames(path: &Path, transform: Option<Transform>, m: u8, thresholds: Threshol
         reader.as_mut(),
         config,
         Limits::default(),
+        all_cores(),
         &mut bytes,
         &mut |_| (),
     )

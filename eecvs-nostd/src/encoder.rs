@@ -343,6 +343,12 @@ impl<'b> WindowEncoder<'b> {
         (header.events, header.pixels, header.saturated) = (events, pixels, saturated);
         is_last
     }
+
+    /// Numbers the next frame `sequence`, for encoders that take turns at the windows of one
+    /// stream.
+    pub const fn follow(&mut self, sequence: u32) {
+        self.sequence = sequence;
+    }
 }
 
 /// A window and its encoder: pushes events, returns frames.

@@ -202,6 +202,20 @@ fn a_small_window_buffer_closes_windows_early_and_loses_nothing() {
 }
 
 #[test]
+fn any_number_of_threads_writes_the_same_file() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    folder.eecvs("encode scene.raw -o default.eecvs").ok();
+    for threads in [1, 2, 8] {
+        let line = format!("encode scene.raw -o n.eecvs --threads {threads} --json");
+        let summary = folder.eecvs(&line).ok().object();
+        assert_eq!(count(&summary, "threads"), threads);
+        assert!(number(&summary, "wall_s") > 0.0);
+        assert!(folder.bytes("n.eecvs") == folder.bytes("default.eecvs"));
+    }
+}
+
+#[test]
 fn calibrated_thresholds_are_percentiles_and_steer_the_encoder() {
     let folder = Folder::new();
     folder.scene("scene.raw");
@@ -310,6 +324,9 @@ fn bad_usage_is_status_2() {
         "encode scene.raw -o a.eecvs --window-us 4294967296",
         "encode scene.raw -o a.eecvs --window-events 0",
         "encode scene.raw -o a.eecvs --frame-bytes 727",
+        "encode scene.raw -o a.eecvs --threads 0",
+        "encode scene.raw -o a.eecvs --threads 1025",
+        "encode scene.raw -o a.eecvs --threads all",
         "encode scene.raw -o a.eecvs --width 40",
         "encode scene.raw -o a.eecvs --width 0 --height 1",
         "encode scene.raw -o a.eecvs --no-such-flag",
@@ -403,7 +420,8 @@ fn what_cannot_be_written_is_status_1_and_named() {
     }
     if exists("/dev/full".as_ref()) {
         for line in [
-            "encode scene.raw -o /dev/full",
+            "encode scene.raw -o /dev/full --threads 1",
+            "encode scene.raw -o /dev/full --threads 3",
             "calibrate scene.raw -o /dev/full",
         ] {
             folder.eecvs(line).fails(&["/dev/full", "space"]);
@@ -445,11 +463,10 @@ fn a_damaged_recording_leaves_no_half_output() {
     folder.write("lines.csv", "t,x,y,p\n10,1,1,1\n20,1,one,0\n");
     for input in ["cut.aedat4", "lines.csv"] {
         let size = "--width 40 --height 30";
-        for command in ["encode", "convert"] {
-            let (flag, out) = if command == "encode" {
-                ("-o ", "half.eecvs")
-            } else {
-                ("", "half.csv")
+        for command in ["encode --threads 1", "encode --threads 3", "convert"] {
+            let (flag, out) = match command {
+                "convert" => ("", "half.csv"),
+                _ => ("-o ", "half.eecvs"),
             };
             folder
                 .eecvs(&format!("{command} {input} {flag}{out} {size}"))

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
-use std::num::NonZeroU32;
+use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
@@ -182,10 +182,12 @@ impl Run {
         let mut reader = formats::open(&self.scene, None)?;
         let progress = Progress::new("events");
         let mut show = |events| progress.set(events);
+        // The rate in the table is that of one thread, as everywhere where nothing else is said.
         let encoded = encode(
             reader.as_mut(),
             config,
             Limits::default(),
+            NonZeroUsize::MIN,
             &mut out,
             &mut show,
         )?;

@@ -1,6 +1,6 @@
 //! `eecvs encode`: a recording to frames.
 
-use std::num::NonZeroU32;
+use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
@@ -9,7 +9,7 @@ use eecvs_nostd::{Config, OUTPUT_BYTES_MIN, Quantiser, Transform, WindowConfig};
 
 use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json, rows};
-use crate::encode::{EncodeSummary, Limits, encode};
+use crate::encode::{EncodeSummary, Limits, all_cores, encode};
 use crate::formats;
 use crate::output_file::{OutputFile, refuse_same_file};
 use crate::progress::Progress;
@@ -33,6 +33,10 @@ pub struct Encode {
 
     #[command(flatten)]
     size: SizeOptions,
+
+    /// Threads that encode; the frames do not depend on it [default: as many as there are cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
 
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -160,6 +164,9 @@ impl Encode {
             reader.as_mut(),
             config,
             self.limits.limits(),
+            self.threads
+                .and_then(|threads| NonZeroUsize::new(threads.into()))
+                .unwrap_or_else(all_cores),
             &mut out,
             &mut |events| {
                 progress.set(events);
@@ -207,6 +214,11 @@ pub fn table(summary: &EncodeSummary) -> String {
                 summary.encode_s,
                 summary.events_per_s / 1e6
             ),
+        ),
+        ("  threads", summary.threads.to_string()),
+        (
+            "with reading and writing",
+            format!("{:.3} s", summary.wall_s),
         ),
     ])
 }

@@ -16,6 +16,7 @@
 use std::io::Read;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
+use lz4_flex::frame::FrameDecoder;
 
 use super::Skipped;
 use super::flatbuffer::{Buffer, Vector};
@@ -111,6 +112,8 @@ impl Aedat4Reader {
             streams,
             sensor,
             camera,
+            raw: Raw::default(),
+            lz4: Lz4::default(),
             packet: Vec::new(),
             packet_offset: 0,
             elements: Vector { start: 0, len: 0 },
@@ -228,6 +231,8 @@ pub struct Aedat4Decoder {
     camera: Option<String>,
     /// Where the packets end; `None` where only the file's end says it.
     end: Option<u64>,
+    raw: Raw,
+    lz4: Lz4,
     packet: Vec<u8>,
     packet_offset: u64,
     /// Events of the packet that are still to be read.
@@ -315,21 +320,17 @@ impl Aedat4Decoder {
     fn decompress(&mut self, start: u64, size: usize) -> anyhow::Result<Vec<u8>> {
         let mut content = std::mem::take(&mut self.packet);
         content.clear();
-        let mut raw = vec![0; size];
-        if self.input.fill(&mut raw)? < size {
+        self.raw.at = 0;
+        self.raw.bytes.resize(size, 0);
+        if self.input.fill(&mut self.raw.bytes)? < size {
             return Err(self.input.error_at(start, "truncated packet"));
         }
         let limit = PACKET_MAX as u64 + 1;
         let read = match self.compression {
-            Compression::None => {
-                content = raw;
-                Ok(content.len())
-            }
-            Compression::Lz4 => lz4_flex::frame::FrameDecoder::new(raw.as_slice())
-                .take(limit)
-                .read_to_end(&mut content),
+            Compression::None => self.raw.read_to_end(&mut content),
+            Compression::Lz4 => self.lz4.decompress(&mut self.raw, limit, &mut content),
             Compression::Zstd => {
-                let decoder = ruzstd::decoding::StreamingDecoder::new(raw.as_slice());
+                let decoder = ruzstd::decoding::StreamingDecoder::new(&mut self.raw);
                 decoder
                     .map_err(std::io::Error::other)
                     .and_then(|decoder| decoder.take(limit).read_to_end(&mut content))
@@ -371,6 +372,61 @@ impl Aedat4Decoder {
                 self.events
             ),
         )
+    }
+}
+
+/// The bytes of a packet.
+#[derive(Default)]
+struct Raw {
+    bytes: Vec<u8>,
+    /// Bytes that were read.
+    at: usize,
+    /// More was asked for than there is.
+    ran_out: bool,
+}
+
+impl Read for Raw {
+    fn read(&mut self, to: &mut [u8]) -> std::io::Result<usize> {
+        let mut rest = self.bytes.get(self.at..).unwrap_or_default();
+        let read = rest.read(to)?;
+        self.at += read;
+        self.ran_out |= read < to.len();
+        Ok(read)
+    }
+}
+
+/// A decoder of LZ4 frames that serves many packets: a new one zeroes some megabytes, which takes
+/// several times as long as the events of a packet.
+#[derive(Default)]
+struct Lz4(Option<(FrameFormat, FrameDecoder<Raw>)>);
+
+/// First bytes of a frame, what the sizes of its decoder's buffers depend on: magic number, flags,
+/// size of blocks.
+type FrameFormat = [u8; 6];
+
+impl Lz4 {
+    /// Appends what is in `raw`, a frame, to `content`, `limit` bytes at most.
+    fn decompress(
+        &mut self,
+        raw: &mut Raw,
+        limit: u64,
+        content: &mut Vec<u8>,
+    ) -> std::io::Result<usize> {
+        let format: Option<FrameFormat> = raw.bytes.first_chunk().copied();
+        let mut decoder = match self.0.take() {
+            Some((same, decoder)) if Some(same) == format => decoder,
+            _ => FrameDecoder::new(Raw::default()),
+        };
+        std::mem::swap(decoder.get_mut(), raw);
+        decoder.get_mut().ran_out = false;
+        let read = (&mut decoder).take(limit).read_to_end(content);
+        std::mem::swap(decoder.get_mut(), raw);
+        // Within a frame that broke off it would take the next packet for the rest of it.
+        let is_whole = !raw.ran_out && raw.at == raw.bytes.len() && (content.len() as u64) < limit;
+        if read.is_ok() && is_whole {
+            self.0 = format.map(|format| (format, decoder));
+        }
+        read
     }
 }
 

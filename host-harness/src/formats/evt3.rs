@@ -182,7 +182,19 @@ impl Decode for Evt3Decoder {
             let (value, coordinate) = (word & 0xfff, word & 0x7ff);
             let polarity = Polarity::from_bool(word & 0x800 != 0);
             match word >> 12 {
-                ADDR_X => self.emit(u32::from(coordinate), 1, polarity, batch)?,
+                ADDR_X => match (self.high.last(), self.y) {
+                    // Most words, without the loop over a vector's bits.
+                    (Some(high), Some(y)) if self.sensor.contains(coordinate, y) => {
+                        batch.push(Event {
+                            t_us: high << TIME_BITS | u64::from(self.low),
+                            x: coordinate,
+                            y,
+                            polarity,
+                        });
+                        self.events += 1;
+                    }
+                    _ => self.emit(u32::from(coordinate), 1, polarity, batch)?,
+                },
                 ADDR_Y => self.y = Some(coordinate),
                 TIME_LOW => self.low = value,
                 TIME_HIGH => {

@@ -150,7 +150,7 @@ impl Input {
 }
 
 /// The decoder of one format; [`Reader`] turns it into an [`EventReader`].
-pub trait Decode {
+pub trait Decode: Send {
     /// As [`EventReader::format`].
     fn format(&self) -> &'static str;
 

@@ -70,8 +70,8 @@ impl Skipped {
     }
 }
 
-/// A recording being read, from its first event to its last.
-pub trait EventReader {
+/// A recording being read, from its first event to its last; on a thread of its own, if need be.
+pub trait EventReader: Send {
     /// Format name as `eecvs info` prints it: `aedat4`, `aedat2`, `evt2`, `evt3`, `text`, `npz`.
     fn format(&self) -> &'static str;
 

@@ -230,7 +230,7 @@ impl EventPackets {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encode::{Limits, encode};
+    use crate::encode::{Limits, all_cores, encode};
     use crate::scene::{Preset, SceneConfig, emulate};
     use eecvs_nostd::evt2::{Evt2Decoder, Word};
     use eecvs_nostd::{Config, Quantiser, Sensor, Thresholds, WindowConfig};
@@ -266,6 +266,7 @@ mod tests {
             &mut scene,
             config,
             Limits::default(),
+            all_cores(),
             &mut bytes,
             &mut |_| (),
         )

@@ -28,7 +28,7 @@ use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::window::EVENTS_MAX;
 use eecvs_nostd::{Config, FRAME_BYTES_MAX, OUTPUT_BYTES_MIN, Scan, scan};
 
-use crate::encode::{Limits, encode};
+use crate::encode::{Limits, all_cores, encode};
 use crate::formats::EventReader;
 use account::Account;
 use connection::Sender;
@@ -303,6 +303,7 @@ fn host_frames(job: &Job<'_>, limits: Limits) -> Result<Vec<Vec<u8>>> {
         (job.open)()?.as_mut(),
         job.config,
         limits,
+        all_cores(),
         &mut bytes,
         &mut |_| (),
     )

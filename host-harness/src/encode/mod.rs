@@ -1,0 +1,204 @@
+//! Runs the core's encoder over a recording.
+
+mod cutter;
+mod parallel;
+mod storage;
+
+use std::io::Write;
+use std::num::NonZeroUsize;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use eecvs_nostd::{Config, Header, OUTPUT_BYTES_MIN, Transform};
+use serde::Serialize;
+
+use crate::formats::EventReader;
+use cutter::{Cutter, Direct};
+pub use storage::HostStorage;
+
+/// Events that the host's window buffer holds.
+pub const WINDOW_EVENTS: usize = 1 << 20;
+
+/// A thread for each core that this process may use; 1 where that is not known.
+#[must_use]
+pub fn all_cores() -> NonZeroUsize {
+    std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
+}
+
+/// What `eecvs encode` reports; the fields are its JSON keys.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct EncodeSummary {
+    /// Events read.
+    pub events_in: u64,
+    /// Events in frames.
+    pub events_encoded: u64,
+    /// Events too old for their window.
+    pub events_late: u64,
+    /// Events that a filter kept out.
+    pub events_filtered: u64,
+    /// Events lost.
+    pub events_dropped: u64,
+    /// Windows with events.
+    pub windows: u64,
+    /// Windows sent with the DCT.
+    pub windows_dct: u64,
+    /// Windows sent with the DTFT.
+    pub windows_dtft: u64,
+    /// Windows sent with the Haar DWT.
+    pub windows_dwt: u64,
+    /// Windows closed early because the buffer was full.
+    pub windows_truncated: u64,
+    /// Quantised levels cut to 32 bits.
+    pub levels_saturated: u64,
+    /// Frames written.
+    pub frames: u64,
+    /// Bytes written.
+    pub bytes_out: u64,
+    /// 8 `bytes_out` / `events_in`; 0 without events.
+    pub bits_per_event: f64,
+    /// Threads that encoded.
+    pub threads: usize,
+    /// Seconds spent encoding, from events to frames, reading and writing excluded: of several
+    /// threads the mean, which leaves out what each of them waited.
+    pub encode_s: f64,
+    /// `events_in` / `encode_s`; 0 without events.
+    pub events_per_s: f64,
+    /// Seconds from the first event read to the last byte written.
+    pub wall_s: f64,
+}
+
+impl EncodeSummary {
+    /// Adds a frame of `bytes` bytes.
+    fn add(&mut self, header: &Header, bytes: usize) {
+        self.frames += 1;
+        self.bytes_out += bytes as u64;
+        self.events_encoded += u64::from(header.events);
+        self.events_late += u64::from(header.late);
+        self.events_filtered += u64::from(header.filtered);
+        self.events_dropped += u64::from(header.dropped);
+        self.levels_saturated += u64::from(header.saturated);
+        if header.part == 0 && header.window_events > 0 {
+            self.windows += 1;
+            self.windows_truncated += u64::from(header.truncated);
+            match header.transform {
+                Transform::Dct => self.windows_dct += 1,
+                Transform::Dtft => self.windows_dtft += 1,
+                Transform::Dwt => self.windows_dwt += 1,
+            }
+        }
+    }
+
+    fn finish(&mut self, encoding: Duration, wall: Duration) {
+        self.encode_s = encoding.as_secs_f64() / self.threads.max(1) as f64;
+        self.wall_s = wall.as_secs_f64();
+        if self.events_in > 0 {
+            self.bits_per_event = self.bytes_out as f64 * 8.0 / self.events_in as f64;
+            self.events_per_s = self.events_in as f64 / self.encode_s.max(1e-9);
+        }
+    }
+}
+
+/// How a recording is cut into windows and frames.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits {
+    /// Events of a window's buffer.
+    pub window_events: usize,
+    /// Bytes of a frame, [`OUTPUT_BYTES_MIN`] to [`eecvs_nostd::FRAME_BYTES_MAX`].
+    pub frame_bytes: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            window_events: WINDOW_EVENTS,
+            frame_bytes: eecvs_nostd::FRAME_BYTES_MAX,
+        }
+    }
+}
+
+/// What was encoded, without its times, and the time that the threads spent on it.
+type Outcome = (EncodeSummary, Duration);
+
+/// Encodes a recording; `progress` gets the events read so far.
+///
+/// The frames do not depend on `threads`. With one thread all happens on the caller's; with more,
+/// another one reads ahead and the caller's writes. Memory does not grow with the recording: each
+/// thread holds at most 8 windows' buffers and some frames.
+///
+/// # Errors
+/// Reading or writing, a configuration that cannot run, or an event that is not accounted for. The
+/// frames of the windows before a reading error have been written.
+pub fn encode(
+    reader: &mut dyn EventReader,
+    config: Config,
+    limits: Limits,
+    threads: NonZeroUsize,
+    out: &mut dyn Write,
+    progress: &mut dyn FnMut(u64),
+) -> Result<EncodeSummary> {
+    ensure!(
+        limits.frame_bytes >= OUTPUT_BYTES_MIN,
+        "a frame needs room for at least {OUTPUT_BYTES_MIN} bytes"
+    );
+    let started = Instant::now();
+    let run = if threads == NonZeroUsize::MIN {
+        encode_here(reader, config, limits, out, progress)
+    } else {
+        parallel::encode(reader, config, limits, threads, out, progress)
+    };
+    let (mut summary, encoding) = run?;
+    summary.threads = threads.get();
+    summary.finish(encoding, started.elapsed());
+    let accounted = summary.events_encoded
+        + summary.events_late
+        + summary.events_filtered
+        + summary.events_dropped;
+    ensure!(
+        accounted == summary.events_in,
+        "{} events were read but {accounted} are accounted for: please report this",
+        summary.events_in
+    );
+    Ok(summary)
+}
+
+/// Encodes on this thread.
+fn encode_here(
+    reader: &mut dyn EventReader,
+    config: Config,
+    limits: Limits,
+    out: &mut dyn Write,
+    progress: &mut dyn FnMut(u64),
+) -> Result<Outcome> {
+    let mut storage = HostStorage::new(config.window.sensor, limits.window_events);
+    let mut encoder = storage.encoder(config)?;
+    let mut cutter = Cutter::new(Direct(reader));
+    let mut frame = vec![0; limits.frame_bytes];
+    let mut summary = EncodeSummary::default();
+    let mut encoding = Duration::ZERO;
+    while cutter.cut(encoder.window(), &mut encoding)? {
+        loop {
+            let started = Instant::now();
+            let encoded = encoder.next_frame(&mut frame);
+            encoding += started.elapsed();
+            match encoded {
+                Ok(Some(encoded)) => {
+                    summary.add(&encoded.header, encoded.range.len());
+                    write_frame(out, &frame[encoded.range])?;
+                }
+                Ok(None) => break,
+                Err(_) => bail!(NO_ROOM),
+            }
+        }
+        progress(cutter.events_in());
+    }
+    summary.events_in = cutter.events_in();
+    progress(summary.events_in);
+    Ok((summary, encoding))
+}
+
+/// [`ensure`] that frames have [`OUTPUT_BYTES_MIN`] makes it unreachable.
+const NO_ROOM: &str = "a frame has no room for a pixel";
+
+fn write_frame(out: &mut dyn Write, frame: &[u8]) -> Result<()> {
+    out.write_all(frame).context("writing frames")
+}

@@ -1,0 +1,112 @@
+//! Memory of an encoder on the host.
+
+use anyhow::{Context, Result, bail};
+use eecvs_nostd::fixed_point::{Sum, WideSum};
+use eecvs_nostd::transform::{GRID_MAX, Oscillators};
+use eecvs_nostd::window::Head;
+use eecvs_nostd::{
+    Config, Encoder, Scratch, Sensor, Slot, Window, WindowBuffers, WindowConfig, WindowEncoder,
+    bitmap_words, segments,
+};
+use zerocopy::{FromBytes, IntoBytes};
+
+/// Memory of an encoder on the host, whose capacity is chosen at run time.
+#[derive(Debug)]
+pub struct HostStorage {
+    windows: Vec<WindowMemory>,
+    oscillators: Box<Oscillators>,
+    sums: Vec<Sum>,
+    totals: Vec<WideSum>,
+    magnitudes: Vec<u32>,
+}
+
+/// Buffers of a window.
+#[derive(Debug)]
+struct WindowMemory {
+    /// Slots, as words: these the system hands out zeroed, and a page of memory is only taken when
+    /// an event comes to lie in it.
+    slots: Vec<u32>,
+    heads: Vec<Head>,
+    bitmap: Vec<u32>,
+}
+
+impl WindowMemory {
+    fn new(sensor: Sensor, window_events: usize) -> Self {
+        let segments = segments(sensor.width, sensor.height);
+        Self {
+            slots: vec![0; window_events * (size_of::<Slot>() / size_of::<u32>())],
+            heads: vec![0; segments],
+            bitmap: vec![0; bitmap_words(segments)],
+        }
+    }
+
+    fn window(&mut self, config: WindowConfig) -> Option<Window<'_>> {
+        self.heads.fill(0);
+        self.bitmap.fill(0);
+        let buffers = WindowBuffers {
+            slots: <[Slot]>::mut_from_bytes(self.slots.as_mut_bytes()).ok()?,
+            heads: &mut self.heads,
+            bitmap: &mut self.bitmap,
+        };
+        Window::new(config, buffers)
+    }
+}
+
+impl HostStorage {
+    /// Memory for a sensor and `window_events` events of a window, for any transform and grid.
+    #[must_use]
+    pub fn new(sensor: Sensor, window_events: usize) -> Self {
+        Self::with_windows(1, sensor, window_events)
+    }
+
+    /// As [`Self::new`], with buffers for several windows.
+    #[must_use]
+    pub(super) fn with_windows(windows: usize, sensor: Sensor, window_events: usize) -> Self {
+        let numbers = 2 * GRID_MAX;
+        Self {
+            windows: (0..windows)
+                .map(|_| WindowMemory::new(sensor, window_events))
+                .collect(),
+            oscillators: Box::new(Oscillators::new()),
+            sums: vec![Sum::ZERO; numbers],
+            totals: vec![WideSum::ZERO; numbers],
+            magnitudes: vec![0; numbers],
+        }
+    }
+
+    /// An encoder over this memory, which is cleared.
+    ///
+    /// # Errors
+    /// A window of 0 us or of no events, M or K out of range.
+    pub fn encoder(&mut self, config: Config) -> Result<Encoder<'_>> {
+        let (mut windows, encoder) = self.parts(config)?;
+        let window = windows.pop().context("the memory has no window")?;
+        Ok(Encoder::new(window, encoder))
+    }
+
+    /// Every window, and the encoder of them, over this memory, which is cleared.
+    ///
+    /// # Errors
+    /// As [`Self::encoder`].
+    pub(super) fn parts(&mut self, config: Config) -> Result<(Vec<Window<'_>>, WindowEncoder<'_>)> {
+        let windows: Option<Vec<_>> = self
+            .windows
+            .iter_mut()
+            .map(|memory| memory.window(config.window))
+            .collect();
+        let windows = windows.context(
+            "the window needs a duration of at least 1 us, room for 1 to 2^24 - 1 events and a \
+             sensor of 1 to 2048 pixels a side",
+        )?;
+        let scratch = Scratch {
+            oscillators: &mut self.oscillators,
+            sums: &mut self.sums,
+            totals: &mut self.totals,
+            magnitudes: &mut self.magnitudes,
+        };
+        match WindowEncoder::new(config, scratch) {
+            Ok(encoder) => Ok((windows, encoder)),
+            Err(error) => bail!("M must be 1 to 64 and the grid 1 to 1024 ({error:?} is not)"),
+        }
+    }
+}
