@@ -109,7 +109,7 @@ pub struct Scratch<'b> {
     pub sums: &'b mut [Sum],
     /// Sums of a pixel of several chunks.
     pub totals: &'b mut [WideSum],
-    /// Magnitudes and their copy.
+    /// Magnitudes, and levels once these have told what is kept.
     pub magnitudes: &'b mut [u32],
 }
 

@@ -205,6 +205,9 @@ pub trait Coefficient: Copy {
     /// The integer part.
     fn integer(self) -> i32;
 
+    /// Whether it is 0.
+    fn is_zero(self) -> bool;
+
     /// The value with 31 fractional bits of n, for |value| < n = any count of `width` bits.
     fn relative(self, width: u32) -> i32;
 }
@@ -230,6 +233,11 @@ impl Coefficient for Sum {
     #[inline(always)]
     fn is_cut(self, _: u32) -> bool {
         false
+    }
+
+    #[inline(always)]
+    fn is_zero(self) -> bool {
+        self.to_bits() == 0
     }
 
     #[inline(always)]
@@ -270,6 +278,11 @@ impl Coefficient for WideSum {
     #[inline]
     fn integer(self) -> i32 {
         (self.to_bits() >> 23) as i32
+    }
+
+    #[inline]
+    fn is_zero(self) -> bool {
+        self.to_bits() == 0
     }
 
     #[inline]

@@ -4,9 +4,9 @@ use crate::bits::{BitWriter, Full, exp_golomb};
 use crate::descriptor::{Coded, Descriptor};
 use crate::packing::{MASK_GRID_MAX, Packing, width_of};
 use crate::prune::Kept;
-use crate::quantise::{Level, Levels, Run, Seven};
+use crate::quantise::{Levels, highest_bits, side_by_side};
 use crate::transform::rows::{self, Cosines};
-use crate::transform::{Rule, Transform};
+use crate::transform::{M_MAX, Rule, Transform};
 
 impl Packing {
     /// What packs the pixels of a frame, from its first.
@@ -160,12 +160,14 @@ impl Packer {
 
     /// The levels of a pixel of `events`, 2 or more.
     #[inline(always)]
-    pub fn levels(&self, events: u32, levels: &impl Levels, writer: &mut BitWriter<'_>) {
+    pub fn levels(&self, events: u32, levels: &Levels<'_>, writer: &mut BitWriter<'_>) {
+        let spread = levels.spread();
+        let levels = levels.as_slice();
         if levels.is_empty() {
             return;
         }
         let most = self.packing.level_bits_max(events);
-        put_levels(most, levels, writer);
+        put_levels(most, levels, spread, writer);
     }
 
     /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events, whole: its place
@@ -199,23 +201,23 @@ impl Packer {
     ) {
         writer.aside(|writer| {
             let (code, code_bits) = self.place_code(index, (on, off), writer);
-            let levels = Seven {
-                bits: sums,
-                shift: self.shift,
-            };
+            let shift = self.shift & 31;
+            let levels = sums.map(|sum| (sum >> shift) as u32);
             // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
             let most = width_of((on + off).wrapping_sub(1)) + self.one_bits;
-            let bits = (width_of(spread >> (self.shift & 31)) + 1).min(most);
+            let bits = width_of(spread >> shift) + 1;
             let width_bits = most - bits + 1;
             if bits > 8 || code_bits + width_bits > 32 {
                 writer.put_clean(code, code_bits);
-                return seven_wide(most, &levels, writer);
+                return put_levels(most, &levels, spread >> shift, writer);
             }
             let width = 1 << ((code_bits + width_bits - 1) & 31);
             writer.put_here(code | width, code_bits + width_bits);
-            let (three, four) = levels.side_by_side(bits);
+            let [a, b, c, rest @ ..] = levels;
+            let highest = highest_bits::<4>(bits);
+            let three = side_by_side([a, b, c], bits, highest >> bits);
             writer.put_here(three, 3 * bits);
-            writer.put_here(four, 4 * bits);
+            writer.put_here(side_by_side(rest, bits, highest), 4 * bits);
         });
     }
 
@@ -335,35 +337,52 @@ impl Packer {
             }
             self.set(&kept, writer);
         }
-        let levels = DescriptorLevels {
-            transform: self.packing.transform,
-            levels,
-        };
-        self.levels(events, &levels, writer);
+        let mut memory = [0; 2 * M_MAX];
+        let mut flat = Levels::new(&mut memory);
+        // What no pixel of these events can have is cut: the link has no room for it.
+        let unused = 32 - self.packing.level_bits_max(events);
+        let cut = |level: i32| (level << unused) >> unused;
+        for level in levels.iter().filter(|level| level.k > 0) {
+            match self.packing.transform {
+                Transform::Dct => flat.push([cut(level.re)]),
+                Transform::Dtft => flat.push([cut(level.re), cut(level.im)]),
+                Transform::Dwt => flat.push([cut(level.re - i32::from(level.re > 0))]),
+            }
+        }
+        self.levels(events, &flat, writer);
     }
 }
 
-/// Puts levels, of which there are some and the widest has up to `most` bits.
-#[inline(always)]
-fn put_levels(most: u32, levels: &impl Levels, writer: &mut BitWriter<'_>) {
-    // The bits that are not copies of the sign, of any of the levels.
-    let mut spread = 0;
-    levels.for_each(|level| spread |= (level ^ (level >> 31)) as u32);
+/// Puts levels, of which there are some and the widest has up to `most` bits; `spread` is
+/// [`Levels::spread`].
+///
+/// Apart: one for all transforms, as the levels are the same list in each.
+#[inline(never)]
+fn put_levels(most: u32, levels: &[u32], spread: u32, writer: &mut BitWriter<'_>) {
     // Never more than `most`: |c| < n, and saturated levels have 32 bits.
     let bits = (width_of(spread) + 1).min(most);
-    writer.put_unary(most - bits);
-    levels.put(bits, writer);
+    writer.aside(|writer| {
+        writer.put_unary(most - bits);
+        match bits {
+            0..=8 => put_groups::<4>(levels, bits, writer),
+            9..=10 => put_groups::<3>(levels, bits, writer),
+            11..=16 => put_groups::<2>(levels, bits, writer),
+            _ => put_groups::<1>(levels, bits, writer),
+        }
+    });
 }
 
-/// Levels of [`Packer::seven`] of any width.
-#[cold]
-#[inline(never)]
-fn seven_wide(most: u32, levels: &Seven<'_>, writer: &mut BitWriter<'_>) {
-    let run = Run {
-        sums: &levels.bits.map(rows::sum),
-        shift: levels.shift - rows::MORE_BITS,
-    };
-    put_levels(most, &run, writer);
+/// Puts levels in groups that a word has room for.
+#[inline(always)]
+fn put_groups<const N: usize>(levels: &[u32], bits: u32, writer: &mut BitWriter<'_>) {
+    let highest = highest_bits::<N>(bits);
+    let (groups, rest) = levels.as_chunks::<N>();
+    for group in groups {
+        writer.put_here(side_by_side(*group, bits, highest), N as u32 * bits);
+    }
+    for level in rest {
+        writer.put(*level, bits);
+    }
 }
 
 /// [`Packer::place`] where one word does not hold it.
@@ -406,31 +425,6 @@ fn is_low(kept: &Kept, grid: usize, r: u32) -> bool {
                 !(u32::MAX << here)
             }
     })
-}
-
-/// A descriptor's levels as they are on the link.
-struct DescriptorLevels<'d> {
-    transform: Transform,
-    levels: &'d [Level],
-}
-
-impl Levels for DescriptorLevels<'_> {
-    fn is_empty(&self) -> bool {
-        self.levels.iter().all(|level| level.k == 0)
-    }
-
-    fn for_each(&self, mut each: impl FnMut(i32)) {
-        for level in self.levels.iter().filter(|level| level.k > 0) {
-            match self.transform {
-                Transform::Dct => each(level.re),
-                Transform::Dtft => {
-                    each(level.re);
-                    each(level.im);
-                }
-                Transform::Dwt => each(level.re - i32::from(level.re > 0)),
-            }
-        }
-    }
 }
 
 /// [`Packer::seven`] with everything in registers.
@@ -655,6 +649,7 @@ mod tests {
     use super::*;
     use crate::event::Sensor;
     use crate::packing::PIXEL_BYTES_MAX;
+    use crate::quantise::Level;
     use crate::quantise::Quantiser;
     use heapless::Vec;
 

@@ -259,12 +259,14 @@ impl Rest<'_> {
             self.kept.clear(shape.grid);
             B::prune(sums, events, shape, self.magnitudes, self.kept);
         }
+        trace.enter(Stage::Quantise);
+        let mut levels = Levels::new(self.magnitudes);
+        B::quantise(sums, shape, self.kept, &mut levels);
         trace.enter(Stage::Pack);
         self.packer.place((pixel.x, pixel.y), counts, writer);
         if is_pruned {
             self.packer.set(self.kept, writer);
         }
-        let levels = B::levels(sums, shape, self.kept);
         self.packer.levels(events, &levels, writer);
         levels.saturated()
     }

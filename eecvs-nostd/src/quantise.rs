@@ -2,10 +2,7 @@
 
 use core::num::NonZeroU32;
 
-use crate::bits::BitWriter;
 use crate::fixed_point::{Coefficient, mul_add};
-use crate::packing::Shape;
-use crate::prune::Kept;
 use crate::transform::Transform;
 use crate::transform::dwt::scale_of;
 
@@ -136,226 +133,95 @@ impl Quantiser {
     }
 }
 
-/// The levels of a pixel in the order of the link, quantised as they are asked for.
-pub trait Levels {
-    /// Whether there is none but that of k = 0.
-    fn is_empty(&self) -> bool;
-
-    /// How many were cut to 32 bits.
-    fn saturated(&self) -> u32 {
-        0
-    }
-
-    /// Calls `each` with every level but that of k = 0.
-    fn for_each(&self, each: impl FnMut(i32));
-
-    /// Puts the low `bits` (1 to 32) of every level but that of k = 0.
-    #[inline(always)]
-    fn put(&self, bits: u32, writer: &mut BitWriter<'_>) {
-        self.for_each(|level| writer.put(level as u32, bits));
-    }
+/// The levels of a pixel in the order of the link, but for that of k = 0: in lent memory of as many
+/// numbers as are kept, twice as many of complex ones.
+#[derive(Debug)]
+pub struct Levels<'l> {
+    levels: &'l mut [u32],
+    len: usize,
+    spread: u32,
+    saturated: u32,
 }
 
-/// By width, the highest bit of four numbers side by side, of up to 8 bits each.
-const HIGHEST: [u32; 16] = {
-    let mut highest = [0; 16];
-    let mut bits = 1;
-    while bits <= 8 {
-        highest[bits] = (1 | (1 << bits) | (1 << (2 * bits)) | (1 << (3 * bits))) << (bits - 1);
-        bits += 1;
-    }
-    highest
-};
-
-/// `levels` side by side, `bits` of each, which they are in the range of.
-#[inline(always)]
-fn side_by_side<const N: usize>(levels: [i32; N], bits: u32) -> u32 {
-    if (3..=4).contains(&N) && bits <= 8 {
-        let all = levels.into_iter().rev();
-        let all = all
-            .reduce(|all, level| mul_add(all, 1 << (bits & 31), level))
-            .unwrap_or(0);
-        // A negative level has borrowed from its neighbour, which half of a range more gives back.
-        let highest = HIGHEST[bits as usize % 16] >> (((4 - N as u32) * bits) & 31);
-        return (all as u32).wrapping_add(highest) ^ highest;
-    }
-    let mask = !(u32::MAX << (bits & 31));
-    let mut all = 0;
-    for level in levels.into_iter().rev() {
-        all = (all << (bits & 31)) | (level & mask as i32);
-    }
-    all as u32
-}
-
-/// Levels of neighbouring coefficients: the DCT's k = 1..r, or both parts of the DTFT's.
-#[derive(Debug, Clone, Copy)]
-pub struct Run<'s, C> {
-    /// Coefficients from k = 1 on.
-    pub sums: &'s [C],
-    /// [`Quantiser::shift`].
-    pub shift: u32,
-}
-
-impl<C: Coefficient> Levels for Run<'_, C> {
-    #[inline(always)]
-    fn is_empty(&self) -> bool {
-        self.sums.is_empty()
-    }
-
-    #[inline(always)]
-    fn saturated(&self) -> u32 {
-        if !C::CAN_SATURATE {
-            return 0;
-        }
-        let cut = self.sums.iter().filter(|sum| sum.is_cut(self.shift));
-        cut.count() as u32
-    }
-
-    #[inline(always)]
-    fn for_each(&self, mut each: impl FnMut(i32)) {
-        for sum in self.sums {
-            each(sum.level(self.shift));
-        }
-    }
-
-    #[inline(always)]
-    fn put(&self, bits: u32, writer: &mut BitWriter<'_>) {
-        let level = |sum: &C| sum.level(self.shift);
-        let mut rest = self.sums;
-        if bits <= 8 {
-            while let Some((four, more)) = rest.split_first_chunk::<4>() {
-                writer.put_clean(side_by_side(four.each_ref().map(level), bits), 4 * bits);
-                rest = more;
-            }
-        }
-        if bits <= 10 {
-            while let Some((three, more)) = rest.split_first_chunk::<3>() {
-                writer.put_clean(side_by_side(three.each_ref().map(level), bits), 3 * bits);
-                rest = more;
-            }
-        }
-        for sum in rest {
-            writer.put(level(sum) as u32, bits);
-        }
-    }
-}
-
-/// Levels of seven sums.
-#[derive(Debug, Clone, Copy)]
-pub struct Seven<'s> {
-    /// Coefficients from k = 1 on, as [`crate::transform::rows`] gives them.
-    pub bits: &'s [i32; 7],
-    /// What brings these to levels.
-    pub shift: u32,
-}
-
-impl Seven<'_> {
-    /// The first three levels side by side and the other four, of up to 8 `bits` each.
+impl<'l> Levels<'l> {
+    /// None yet.
     #[inline(always)]
     #[must_use]
-    pub fn side_by_side(&self, bits: u32) -> (u32, u32) {
-        let [a, b, c, d, e, f, g] = self.bits.map(|sum| sum >> (self.shift & 31));
-        (
-            side_by_side([a, b, c], bits),
-            side_by_side([d, e, f, g], bits),
-        )
-    }
-}
-
-/// Levels of kept complex coefficients: re and im in turn.
-#[derive(Debug, Clone, Copy)]
-pub struct Pairs<'s, C> {
-    /// K real parts, then K imaginary ones.
-    pub sums: &'s [C],
-    /// K and the quantiser.
-    pub shape: Shape,
-    /// Which are sent.
-    pub kept: &'s Kept,
-}
-
-impl<C: Coefficient> Pairs<'_, C> {
-    /// Calls `each` with re and im of every coefficient that is sent but k = 0.
-    #[inline(always)]
-    fn for_each_pair(&self, mut each: impl FnMut([C; 2])) {
-        let (re, im) = self.sums.split_at(self.shape.grid.min(self.sums.len()));
-        self.kept.for_each(self.shape.grid, |k| {
-            if k > 0
-                && let (Some(re), Some(im)) = (re.get(k), im.get(k))
-            {
-                each([*re, *im]);
-            }
-        });
-    }
-}
-
-impl<C: Coefficient> Levels for Pairs<'_, C> {
-    #[inline(always)]
-    fn is_empty(&self) -> bool {
-        self.shape.r <= 1 && self.kept.contains(0)
-    }
-
-    #[inline(always)]
-    fn saturated(&self) -> u32 {
-        let mut cut = 0;
-        if C::CAN_SATURATE {
-            let shift = self.shape.quantiser.shift();
-            self.for_each_pair(|[re, im]| {
-                cut += u32::from(re.is_cut(shift)) + u32::from(im.is_cut(shift));
-            });
+    pub const fn new(levels: &'l mut [u32]) -> Self {
+        Self {
+            levels,
+            len: 0,
+            spread: 0,
+            saturated: 0,
         }
-        cut
     }
 
+    /// Adds some; there is room.
     #[inline(always)]
-    fn for_each(&self, mut each: impl FnMut(i32)) {
-        self.for_each_pair(|[re, im]| {
-            each(self.shape.quantiser.uniform(re));
-            each(self.shape.quantiser.uniform(im));
-        });
-    }
-
-    #[inline(always)]
-    fn put(&self, bits: u32, writer: &mut BitWriter<'_>) {
-        if bits > 16 {
-            return self.for_each(|level| writer.put(level as u32, bits));
+    pub fn push<const N: usize>(&mut self, levels: [i32; N]) {
+        let places = self.levels.get_mut(self.len..);
+        if let Some(places) = places.and_then(|places| places.first_chunk_mut::<N>()) {
+            *places = levels.map(|level| level as u32);
+            self.len += N;
         }
-        self.for_each_pair(|pair| {
-            let pair = pair.map(|sum| self.shape.quantiser.uniform(sum));
-            writer.put_clean(side_by_side(pair, bits), 2 * bits);
-        });
+        for level in levels {
+            self.spread |= (level ^ (level >> 31)) as u32;
+        }
+    }
+
+    /// Adds floor(sum / D) of each, cut to 32 bits; `shift` is [`Quantiser::shift`].
+    #[inline(always)]
+    pub fn push_uniform<const N: usize>(&mut self, sums: [impl Coefficient; N], shift: u32) {
+        for sum in sums {
+            self.saturated += u32::from(sum.is_cut(shift));
+        }
+        self.push(sums.map(|sum| sum.level(shift)));
+    }
+
+    /// All of them, in two's complement.
+    #[inline(always)]
+    #[must_use]
+    pub fn as_slice(&self) -> &[u32] {
+        self.levels.get(..self.len).unwrap_or_default()
+    }
+
+    /// The bits that are not copies of the sign, of any of them.
+    #[inline(always)]
+    #[must_use]
+    pub const fn spread(&self) -> u32 {
+        self.spread
+    }
+
+    /// How many were cut to 32 bits.
+    #[inline(always)]
+    #[must_use]
+    pub const fn saturated(&self) -> u32 {
+        self.saturated
     }
 }
 
-/// Levels of kept Haar coefficients, of which none is 0: positive ones are moved down by one.
-#[derive(Debug, Clone, Copy)]
-pub struct Haar<'s, C> {
-    /// D_k from k = 0 on.
-    pub sums: &'s [C],
-    /// K and the quantiser.
-    pub shape: Shape,
-    /// Which are sent.
-    pub kept: &'s Kept,
+/// `levels` side by side, `bits` of each, which they are in the range of and a word has room for;
+/// `highest` has the highest bit of each.
+#[inline(always)]
+#[must_use]
+pub fn side_by_side<const N: usize>(levels: [u32; N], bits: u32, highest: u32) -> u32 {
+    let all = levels.into_iter().rev().map(u32::cast_signed);
+    let all = all
+        .reduce(|all, level| mul_add(all, 1 << (bits & 31), level))
+        .unwrap_or(0);
+    // A negative level has borrowed from its neighbour, which half of a range more gives back.
+    (all as u32).wrapping_add(highest) ^ highest
 }
 
-impl<C: Coefficient> Levels for Haar<'_, C> {
-    #[inline(always)]
-    fn is_empty(&self) -> bool {
-        let mut words = self.kept.words(self.shape.grid).iter();
-        let first = words.next().copied().unwrap_or(0);
-        first <= 1 && words.all(|word| *word == 0)
+/// The highest bit of each of N numbers side by side, of `bits` each, which a word has room for.
+#[inline(always)]
+#[must_use]
+pub fn highest_bits<const N: usize>(bits: u32) -> u32 {
+    let mut highest = 0;
+    for _ in 0..N {
+        highest = (highest << (bits & 31)) | 1;
     }
-
-    #[inline(always)]
-    fn for_each(&self, mut each: impl FnMut(i32)) {
-        self.kept.for_each(self.shape.grid, |k| {
-            if k > 0
-                && let Some(sum) = self.sums.get(k)
-            {
-                let level = self.shape.quantiser.haar(sum.integer(), scale_of(k));
-                each(level - i32::from(level > 0));
-            }
-        });
-    }
+    highest << ((bits - 1) & 31)
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
 use crate::prune::{Kept, low_frequency};
-use crate::quantise::Run;
+use crate::quantise::Levels;
 
 /// The cosine transform (eq. 6 with phi_k(u) = cos(pi k u)), for dense windows.
 ///
@@ -22,7 +22,6 @@ pub struct Dct;
 impl Basis for Dct {
     const TRANSFORM: Transform = Transform::Dct;
     const RULE: Rule = Rule::LowFrequency;
-    type Levels<'s, C: Coefficient + 's> = Run<'s, C>;
 
     #[inline(always)]
     fn accumulate(
@@ -53,10 +52,10 @@ impl Basis for Dct {
     }
 
     #[inline(always)]
-    fn levels<'s, C: Coefficient>(sums: &'s [C], shape: Shape, _: &'s Kept) -> Run<'s, C> {
-        Run {
-            sums: sums.get(1..shape.r).unwrap_or(&[]),
-            shift: shape.quantiser.shift(),
+    fn quantise<C: Coefficient>(sums: &[C], shape: Shape, _: &Kept, levels: &mut Levels<'_>) {
+        let shift = shape.quantiser.shift();
+        for sum in sums.get(1..shape.r).unwrap_or_default() {
+            levels.push_uniform([*sum], shift);
         }
     }
 

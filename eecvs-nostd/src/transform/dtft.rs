@@ -7,7 +7,7 @@ use crate::fixed_point::{Coefficient, Phase, Sum, mul_high};
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
 use crate::prune::{Kept, largest, low_frequency};
-use crate::quantise::Pairs;
+use crate::quantise::Levels;
 
 /// The Fourier transform of the impulse train (eq. 6 with phi_k(u) = exp(-i 2 pi k u)), for
 /// moderate windows.
@@ -22,7 +22,6 @@ pub struct Dtft;
 impl Basis for Dtft {
     const TRANSFORM: Transform = Transform::Dtft;
     const RULE: Rule = Rule::Magnitude;
-    type Levels<'s, C: Coefficient + 's> = Pairs<'s, C>;
 
     #[inline(always)]
     fn accumulate(
@@ -72,8 +71,16 @@ impl Basis for Dtft {
     }
 
     #[inline(always)]
-    fn levels<'s, C: Coefficient>(sums: &'s [C], shape: Shape, kept: &'s Kept) -> Pairs<'s, C> {
-        Pairs { sums, shape, kept }
+    fn quantise<C: Coefficient>(sums: &[C], shape: Shape, kept: &Kept, levels: &mut Levels<'_>) {
+        let shift = shape.quantiser.shift();
+        let (re, im) = sums.split_at_checked(shape.grid).unwrap_or_default();
+        kept.for_each(shape.grid, |k| {
+            if k > 0
+                && let (Some(re), Some(im)) = (re.get(k), im.get(k))
+            {
+                levels.push_uniform([*re, *im], shift);
+            }
+        });
     }
 
     /// All coefficients of a single event have the magnitude 1 and tie: k = 0..r are kept.

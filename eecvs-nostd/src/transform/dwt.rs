@@ -7,7 +7,7 @@ use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
 use crate::prune::{Kept, largest};
-use crate::quantise::Haar;
+use crate::quantise::Levels;
 
 /// The Haar wavelet transform (eq. 6), for sparse windows; h is +1 on [0, 1/2), -1 on [1/2, 1).
 ///
@@ -25,10 +25,12 @@ pub const fn scale_of(k: usize) -> u32 {
     if k == 0 { 0 } else { k.ilog2() }
 }
 
+/// Up to so many events are added one by one: less than the butterflies take.
+const FEW_EVENTS: usize = 6;
+
 impl Basis for Dwt {
     const TRANSFORM: Transform = Transform::Dwt;
     const RULE: Rule = Rule::Magnitude;
-    type Levels<'s, C: Coefficient + 's> = Haar<'s, C>;
 
     #[inline(always)]
     fn accumulate(
@@ -39,19 +41,39 @@ impl Basis for Dwt {
         sums: &mut [Sum],
     ) {
         debug_assert!(grid.is_power_of_two());
+        let bins_log2 = grid.trailing_zeros();
+        let bin = |impulse: &Impulse| scale.bin(impulse.offset_us, bins_log2) as usize;
+        let sign = |impulse: &Impulse| {
+            if impulse.is_on {
+                Sum::ONE
+            } else {
+                Sum::NEG_ONE
+            }
+        };
+        if impulses.clone().nth(FEW_EVENTS).is_none() {
+            // Each adds to one coefficient of every scale, from the finest on.
+            let differences = sums.get_mut(..grid).unwrap_or_default();
+            differences.fill(Sum::ZERO);
+            for impulse in impulses {
+                let sign = sign(&impulse);
+                let mut node = grid + bin(&impulse);
+                while node > 1 {
+                    let is_second_half = node % 2 == 1;
+                    node /= 2;
+                    if let Some(difference) = differences.get_mut(node) {
+                        *difference += if is_second_half { -sign } else { sign };
+                    }
+                }
+            }
+            return;
+        }
         let (differences, bins) = sums.split_at_mut_checked(grid).unwrap_or_default();
         let bins = bins.get_mut(..grid).unwrap_or_default();
         bins.fill(Sum::ZERO);
-        let bins_log2 = grid.trailing_zeros();
         for impulse in impulses.take(CHUNK_EVENTS) {
-            let bin = scale.bin(impulse.offset_us, bins_log2) as usize;
             // Always there: the offset is below T.
-            if let Some(sum) = bins.get_mut(bin) {
-                *sum += if impulse.is_on {
-                    Sum::ONE
-                } else {
-                    Sum::NEG_ONE
-                };
+            if let Some(sum) = bins.get_mut(bin(&impulse)) {
+                *sum += sign(&impulse);
             }
         }
         // At scale j the pairs of 2^(j+1) bins become their sum, a bin of the next coarser scale,
@@ -82,11 +104,10 @@ impl Basis for Dwt {
     ) {
         let Shape { grid, r, quantiser } = shape;
         let mut nonzero = 0;
-        for (k, sum) in sums.iter().enumerate().take(grid) {
-            if sum.integer() != 0 {
-                kept.insert(k);
-                nonzero += 1;
-            }
+        for (word, sums) in kept.words_mut(grid).iter_mut().zip(sums.chunks(32)) {
+            let sums = sums.iter().take(grid).rev();
+            *word = sums.fold(0, |word, sum| (word << 1) | u32::from(!sum.is_zero()));
+            nonzero += word.count_ones() as usize;
         }
         if nonzero > r {
             let Some(magnitudes) = magnitudes.get_mut(..grid) else {
@@ -111,9 +132,17 @@ impl Basis for Dwt {
         }
     }
 
+    /// None is 0: positive ones are moved down by one.
     #[inline(always)]
-    fn levels<'s, C: Coefficient>(sums: &'s [C], shape: Shape, kept: &'s Kept) -> Haar<'s, C> {
-        Haar { sums, shape, kept }
+    fn quantise<C: Coefficient>(sums: &[C], shape: Shape, kept: &Kept, levels: &mut Levels<'_>) {
+        kept.for_each(shape.grid, |k| {
+            if k > 0
+                && let Some(sum) = sums.get(k)
+            {
+                let level = shape.quantiser.haar(sum.integer(), scale_of(k));
+                levels.push([level - i32::from(level > 0)]);
+            }
+        });
     }
 
     /// The coefficients of a single event are those of the atoms that hold it, +-2^(j/2), and so

@@ -124,8 +124,6 @@ pub trait Basis {
     const TRANSFORM: Transform;
     /// Which coefficients are kept.
     const RULE: Rule;
-    /// The levels that are sent.
-    type Levels<'s, C: Coefficient + 's>: Levels;
 
     /// Accumulate: c_k = sum_i p_i phi_k(u_i) (eq. 6) for k in 1..`grid`, over at most
     /// [`CHUNK_EVENTS`] impulses; more are left out. `sums`, 2K or longer, is overwritten, but for
@@ -148,12 +146,8 @@ pub trait Basis {
         kept: &mut Kept,
     );
 
-    /// Quantise: the levels of what is sent.
-    fn levels<'s, C: Coefficient>(
-        sums: &'s [C],
-        shape: Shape,
-        kept: &'s Kept,
-    ) -> Self::Levels<'s, C>;
+    /// Quantise: adds the levels of what is sent, k ascending, to `levels`.
+    fn quantise<C: Coefficient>(sums: &[C], shape: Shape, kept: &Kept, levels: &mut Levels<'_>);
 
     /// b, 0 to 24: one of 2^b cells of the window tells a single event's coefficients, each within
     /// half a step.
