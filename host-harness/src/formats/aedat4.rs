@@ -505,3 +505,47 @@ impl Decode for Aedat4Decoder {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lz4_flex::frame::{BlockMode, BlockSize, FrameEncoder, FrameInfo};
+    use std::io::Write;
+
+    #[test]
+    fn a_decoder_of_many_packets_is_one_for_each() {
+        let content: Vec<u8> = (0..200_000_u32).map(|i| (i / 7 % 251) as u8).collect();
+        let mut packets = Vec::new();
+        for size in [BlockSize::Max64KB, BlockSize::Max1MB, BlockSize::Max64KB] {
+            for mode in [BlockMode::Linked, BlockMode::Linked, BlockMode::Independent] {
+                let info = FrameInfo::new().block_size(size).block_mode(mode);
+                let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
+                encoder.write_all(&content[packets.len()..]).unwrap();
+                let packet = encoder.finish().unwrap();
+                // Whole, cut, without its end mark, damaged, with bytes behind it, whole.
+                packets.push(packet.clone());
+                packets.push(packet[..packet.len() / 2].to_vec());
+                packets.push(packet[..packet.len() - 4].to_vec());
+                let mut damaged = packet.clone();
+                damaged[20] ^= 0xff;
+                packets.push(damaged);
+                packets.push([&packet[..], b"more"].concat());
+                packets.push(packet);
+            }
+        }
+        packets.extend([vec![], vec![4; 3]]);
+        let mut many = Lz4::default();
+        for bytes in packets {
+            let mut raw = Raw {
+                bytes: bytes.clone(),
+                ..Raw::default()
+            };
+            let mut content = Vec::new();
+            let read = many.decompress(&mut raw, 1 << 20, &mut content);
+            let mut expected = Vec::new();
+            let alone = FrameDecoder::new(bytes.as_slice()).read_to_end(&mut expected);
+            assert_eq!(read.ok(), alone.ok());
+            assert!(content == expected);
+        }
+    }
+}
