@@ -89,32 +89,105 @@ impl Weighted {
             odd: negate_halves(weights, negative ^ turned),
         }
     }
+}
 
-    /// Adds the atoms to `sums`.
-    #[inline(always)]
-    fn add(self, sums: [i32; ATOMS]) -> [i32; ATOMS] {
-        let mut sums = sums;
-        for (i, (sum, line)) in sums.iter_mut().zip(self.lines).enumerate() {
-            // k = i + 1
-            let weights = if i % 2 == 0 { self.odd } else { self.even };
-            *sum = dot_add(*sum, *line, weights);
+/// Sums of the atoms, one by one.
+#[cfg_attr(target_feature = "sse2", allow(dead_code))]
+mod portable {
+    use super::{ATOMS, Weighted, dot_add};
+
+    #[derive(Debug, Clone, Copy)]
+    pub struct Sums([i32; ATOMS]);
+
+    impl Sums {
+        #[inline(always)]
+        pub const fn zero() -> Self {
+            Self([0; ATOMS])
         }
-        sums
+
+        #[inline(always)]
+        pub fn add(&mut self, event: Weighted) {
+            for (i, (sum, line)) in self.0.iter_mut().zip(event.lines).enumerate() {
+                // k = i + 1
+                let weights = if i % 2 == 0 { event.odd } else { event.even };
+                *sum = dot_add(*sum, *line, weights);
+            }
+        }
+
+        #[inline(always)]
+        pub const fn into_array(self) -> [i32; ATOMS] {
+            self.0
+        }
     }
 }
 
+/// The same bits four at a time: `pmaddwd` is `smlad` without its sum, and every x86-64 has it.
+#[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
+#[allow(unsafe_code)]
+mod sse2 {
+    use core::arch::x86_64::{
+        __m128i, _mm_add_epi32, _mm_loadu_si128, _mm_madd_epi16, _mm_set_epi32, _mm_setzero_si128,
+        _mm_storeu_si128,
+    };
+
+    use super::{ATOMS, GRID, Weighted};
+
+    #[derive(Debug, Clone, Copy)]
+    pub struct Sums([__m128i; 2]);
+
+    impl Sums {
+        #[inline(always)]
+        pub fn zero() -> Self {
+            // SAFETY: the module is there only where the target has SSE2.
+            Self([unsafe { _mm_setzero_si128() }; 2])
+        }
+
+        #[inline(always)]
+        pub fn add(&mut self, event: Weighted) {
+            let (odd, even) = (event.odd.cast_signed(), event.even.cast_signed());
+            // SAFETY: as for `zero`. k = 1 is the lowest.
+            let weights = unsafe { _mm_set_epi32(even, odd, even, odd) };
+            let (lines, _) = event.lines.as_chunks::<4>();
+            for (sum, lines) in self.0.iter_mut().zip(lines) {
+                // SAFETY: as for `zero`; four lines are the 16 bytes that are read, at any alignment.
+                *sum = unsafe {
+                    let lines = _mm_loadu_si128(lines.as_ptr().cast());
+                    _mm_add_epi32(*sum, _mm_madd_epi16(lines, weights))
+                };
+            }
+        }
+
+        #[inline(always)]
+        pub fn into_array(self) -> [i32; ATOMS] {
+            let mut all = [[0_i32; 4]; GRID / 4];
+            for (four, sum) in all.iter_mut().zip(self.0) {
+                // SAFETY: the four are the 16 bytes that are written, at any alignment.
+                unsafe { _mm_storeu_si128(four.as_mut_ptr().cast(), sum) };
+            }
+            let [[a, b, c, d], [e, f, g, _]] = all;
+            [a, b, c, d, e, f, g]
+        }
+    }
+}
+
+#[cfg(not(all(target_arch = "x86_64", target_feature = "sse2")))]
+use portable::Sums;
+#[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
+use sse2::Sums;
+
 /// sum p cos(pi k u) for k = 1..8 over at most [`CHUNK_EVENTS`] impulses, of which `half` gives
-/// u / 2, with 25 fractional bits: [`sum`] makes numbers of them. Apart, so that the loop has the registers for itself.
+/// u / 2, with 25 fractional bits: [`sum`] makes numbers of them. Apart, so that the loop has the
+/// registers for itself.
 #[inline(never)]
 pub fn cosines(
     impulses: impl Iterator<Item = Impulse>,
     half: impl Fn(Impulse) -> Phase,
 ) -> [i32; ATOMS] {
-    let mut sums = [0; ATOMS];
+    let mut sums = Sums::zero();
     for impulse in impulses {
-        sums = Weighted::new(half(impulse), impulse.is_on).add(sums);
+        sums.add(Weighted::new(half(impulse), impulse.is_on));
     }
-    sums
+    sums.into_array()
 }
 
 /// [`cosines`] of one window's pixels, with what they have in common.
@@ -381,8 +454,14 @@ mod tests {
             for within in [0, unit / 2, unit - 1] {
                 let half = at * unit + within;
                 let phase = Phase::from_bits(half);
-                let atoms = Weighted::new(phase, true).add([0; ATOMS]);
-                let negative = Weighted::new(phase, false).add([0; ATOMS]);
+                let mut atoms = [portable::Sums::zero(); 2];
+                let mut same = [Sums::zero(); 2];
+                for (i, is_on) in [true, false].into_iter().enumerate() {
+                    atoms[i].add(Weighted::new(phase, is_on));
+                    same[i].add(Weighted::new(phase, is_on));
+                    assert_eq!(atoms[i].into_array(), same[i].into_array());
+                }
+                let [atoms, negative] = atoms.map(portable::Sums::into_array);
                 for (i, (atom, negative)) in atoms.into_iter().zip(negative).enumerate() {
                     assert_eq!(atom, -negative);
                     largest = largest.max(atom.abs());
