@@ -32,7 +32,7 @@ static LINES: [u32; ROWS] = lines();
 /// Error of an atom at the most: 2^-15 where 1 is missing from Q15, else 2^-16 of the rounding;
 /// 2^-19.7 of the line, 2^-18.3 of its distance, and what k times the phase's error makes
 /// ([`crate::phase`]). Measured for K = 1,024, |c_k - c_ref| per event: DCT 2^-15.0, DTFT
-/// 2^-15.0; `tests/kernels.rs` enforces 2^-14.
+/// 2^-14.9; `tests/kernels.rs` enforces 2^-14.
 #[derive(Debug, Clone, Copy)]
 pub struct Table;
 

@@ -108,7 +108,7 @@ impl BinningFft {
                 .bin(impulse.offset_us, BINS.trailing_zeros()) as usize;
             let at = match self.transform {
                 // Even bins, then odd ones backwards: the FFT of these is the DCT of all.
-                Transform::Dct if bin % 2 == 0 => bin / 2,
+                Transform::Dct if bin.is_multiple_of(2) => bin / 2,
                 Transform::Dct => BINS - 1 - bin / 2,
                 Transform::Dtft | Transform::Dwt => bin,
             };
