@@ -7,7 +7,7 @@
 //! One stage, one file. Every buffer is lent by the caller or sits in [`Storage`]; nothing
 //! allocates, nothing uses floating point on the way from an event to a frame, and the same code
 //! gives the same bits on a microcontroller and on a host. Feature `defmt` derives `defmt::Format`
-//! on the public types; there is no other.
+//! on the public types; `float` adds two kernels in f32 to compare with ([`kernel`]).
 #![no_std]
 
 #[cfg(test)]
@@ -29,6 +29,7 @@ pub mod frame;
 pub mod group;
 pub mod ingest;
 mod intake;
+pub mod kernel;
 pub mod link;
 pub mod link_source;
 pub mod pack;
@@ -52,6 +53,7 @@ pub use encoder::{
 };
 pub use event::{Event, Polarity, Sensor};
 pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom};
+pub use kernel::Kernel;
 pub use link::{Order, Scan, Sequence, scan};
 pub use packing::{Packing, Shape};
 pub use quantise::{Level, Quantiser};

@@ -59,6 +59,18 @@ impl PhaseScale {
         (self.shift, self.reciprocal)
     }
 
+    /// u / 2 for an offset below T as a fraction of a turn with 64 bits: less than 13 * 2^-64 below
+    /// it. For kernels whose error must not grow with k.
+    #[inline(always)]
+    #[must_use]
+    pub const fn half_wide(self, offset_us: u32) -> u64 {
+        let half = self.half(offset_us).to_bits() as u64;
+        // What is left of the division, below 3 T, divided the same way.
+        let rest = ((offset_us as u64) << 31) - half * self.duration_us.get() as u64;
+        let below = ((rest << (self.shift & 31)) >> 2) * self.reciprocal as u64;
+        (half << 32) + (below >> 29)
+    }
+
     /// floor(2^`bins_log2` u) for an offset below T, exact: the Haar atoms' discontinuities ask
     /// for it. `bins_log2` is at most 10.
     #[inline(always)]
@@ -85,12 +97,18 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// `half` against floor(2^31 offset / T).
+    /// `half` and `half_wide` against floor(2^31 offset / T) and floor(2^63 offset / T).
     fn check(offset_us: u32, duration_us: u32) {
         let exact = ((u64::from(offset_us) << 31) / u64::from(duration_us)) as u32;
         let found = PhaseScale::new(duration_us).half(offset_us).to_bits();
         assert!(
             found <= exact && exact - found <= 2,
+            "{offset_us} / {duration_us}"
+        );
+        let exact = ((u128::from(offset_us) << 63) / u128::from(duration_us)) as u64;
+        let found = PhaseScale::new(duration_us).half_wide(offset_us);
+        assert!(
+            found <= exact && exact - found <= 13,
             "{offset_us} / {duration_us}"
         );
     }

@@ -26,6 +26,7 @@ enum Command {
     Decode(cmd::decode::Decode),
     Compare(cmd::compare::Compare),
     Mcu(cmd::mcu::Mcu),
+    Bench(cmd::bench::Bench),
 }
 
 fn main() -> ExitCode {
@@ -42,6 +43,7 @@ fn main() -> ExitCode {
         Command::Decode(command) => command.run(),
         Command::Compare(command) => command.run(),
         Command::Mcu(command) => command.run(),
+        Command::Bench(command) => command.run(),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -6,10 +6,10 @@ use std::path::Path;
 use anyhow::{Context, bail, ensure};
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{Config, Encoder, Push, Quantiser, Sensor, Thresholds, Transform, WindowConfig};
+use host_harness::bench::cut::EVENTS;
 use host_harness::encode::HostStorage;
 
 use crate::counts::Run;
-use crate::cuts::EVENTS;
 
 /// Output of the image: a larger one would give other frames.
 const OUT_BYTES: usize = 8192;

@@ -191,7 +191,7 @@ fn cell_of(scale: PhaseScale, offset_us: u32, cells_log2: u32) -> u32 {
 /// Memory for the oscillators of a chunk: cosines, then sines.
 #[derive(Debug)]
 pub struct Oscillators {
-    cos: [Oscillator; CHUNK_EVENTS],
+    pub(crate) cos: [Oscillator; CHUNK_EVENTS],
     sin: [Oscillator; CHUNK_EVENTS],
 }
 

@@ -1,5 +1,6 @@
 //! Subcommands of `eecvs`, one file each, their flags beside them.
 
+pub mod bench;
 pub mod calibrate;
 pub mod compare;
 pub mod convert;

@@ -3,4 +3,6 @@
 pub mod chart;
 pub mod demo;
 pub mod frame_picture;
+pub mod kernel_chart;
 pub mod picture;
+pub mod picture_backend;

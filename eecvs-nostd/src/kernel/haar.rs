@@ -1,0 +1,25 @@
+//! The Haar transform's histogram and butterflies.
+
+use super::{Accumulate, Impulse, Kernel, Oscillators, PhaseScale};
+use crate::fixed_point::Sum;
+use crate::transform::{Basis, Dwt};
+
+/// What [`Dwt`] takes: exact but for the scale 2^(j/2), which is left to whoever needs the value.
+#[derive(Debug, Clone, Copy)]
+pub struct Haar;
+
+impl Accumulate<Dwt> for Haar {
+    const KERNEL: Kernel = Kernel::Haar;
+    type Sum = Sum;
+
+    #[inline(always)]
+    fn accumulate(
+        impulses: impl Iterator<Item = Impulse> + Clone,
+        scale: PhaseScale,
+        grid: usize,
+        work: &mut Oscillators,
+        sums: &mut [Sum],
+    ) {
+        Dwt::accumulate(impulses, scale, grid, work, sums);
+    }
+}

@@ -1,0 +1,161 @@
+//! Kernels of the accumulate stage: ways to the same coefficients that differ in run time and error.
+//!
+//! The encoder takes what [`Kernel::in_use`] names, through [`Basis::accumulate`]; the others are
+//! here to be measured against it (`eecvs bench`). A further kernel is one new file with a type that
+//! implements [`Accumulate`], and one entry of [`Kernel`].
+//!
+//! | kernel | transforms | arithmetic | error per event at most |
+//! |---|---|---|---|
+//! | [`Table`] | DCT, DTFT | Q15 table, lines between its rows | 2^-14 |
+//! | [`Recurrence`] | DCT, DTFT | Chebyshev recurrence, 30 fractional bits | 2^-16 |
+//! | [`Precise`] | DCT, DTFT | an atom at a time, 30 fractional bits | 2^-26 |
+//! | `Micromath` | DCT, DTFT | an atom at a time, f32 | 2^-9 |
+//! | `Libm` | DCT, DTFT | Chebyshev recurrence, f32 | 2^-14 |
+//! | [`Haar`] | Haar DWT | histogram and butterflies, integers | 0 |
+//!
+//! The error is |c_k - c_ref| of any coefficient, complex where c_k is, over the number of events in
+//! the pixel, for K up to 1,024 and any window; `tests/kernels.rs` enforces it. The two in f32 are
+//! behind the feature `float`.
+
+mod haar;
+#[cfg(feature = "float")]
+mod libm;
+#[cfg(feature = "float")]
+mod micromath;
+mod precise;
+mod recurrence;
+mod table;
+
+use crate::fixed_point::Phase;
+use crate::phase::PhaseScale;
+use crate::transform::{Basis, Impulse, Oscillators, Transform, rows};
+
+#[cfg(feature = "float")]
+pub use self::libm::Libm;
+#[cfg(feature = "float")]
+pub use self::micromath::Micromath;
+pub use haar::Haar;
+pub use precise::{Precise, PreciseSum};
+pub use recurrence::Recurrence;
+pub use table::Table;
+
+/// A kernel by name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Kernel {
+    /// [`Table`]
+    Table,
+    /// [`Recurrence`]
+    Recurrence,
+    /// [`Precise`]
+    Precise,
+    /// `Micromath`, with the feature `float`
+    Micromath,
+    /// `Libm`, with the feature `float`
+    Libm,
+    /// [`Haar`]
+    Haar,
+}
+
+impl Kernel {
+    /// Every kernel.
+    pub const ALL: [Self; 6] = [
+        Self::Table,
+        Self::Recurrence,
+        Self::Precise,
+        Self::Micromath,
+        Self::Libm,
+        Self::Haar,
+    ];
+
+    /// Lower-case name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Table => "table",
+            Self::Recurrence => "recurrence",
+            Self::Precise => "precise",
+            Self::Micromath => "micromath",
+            Self::Libm => "libm",
+            Self::Haar => "haar",
+        }
+    }
+
+    /// The kernel behind [`Basis::accumulate`], which the encoder takes: bit by bit the same sums.
+    #[must_use]
+    pub const fn in_use(transform: Transform, grid: usize) -> Self {
+        match transform {
+            Transform::Dct if grid <= rows::GRID => Self::Table,
+            Transform::Dct | Transform::Dtft => Self::Recurrence,
+            Transform::Dwt => Self::Haar,
+        }
+    }
+
+    /// log2 of the bound on a coefficient's error per event; `None` where there is no error.
+    #[must_use]
+    pub const fn error_log2(self) -> Option<i8> {
+        match self {
+            Self::Table | Self::Libm => Some(-14),
+            Self::Recurrence => Some(-16),
+            Self::Precise => Some(-26),
+            Self::Micromath => Some(-9),
+            Self::Haar => None,
+        }
+    }
+}
+
+/// A kernel for the transform `B`.
+pub trait Accumulate<B: Basis> {
+    /// Its name.
+    const KERNEL: Kernel;
+    /// A sum of the signed atoms of a chunk.
+    type Sum: Copy + Default;
+
+    /// As [`Basis::accumulate`], whose contract this is: at most a chunk of impulses, 2K or more
+    /// `sums`, of which c_0 is left as it was. Only some kernels use `work`.
+    fn accumulate(
+        impulses: impl Iterator<Item = Impulse> + Clone,
+        scale: PhaseScale,
+        grid: usize,
+        work: &mut Oscillators,
+        sums: &mut [Self::Sum],
+    );
+}
+
+/// u / 2, the DCT's step from k to k + 1 as a turn.
+#[inline(always)]
+fn dct_turn(scale: PhaseScale, impulse: Impulse) -> Phase {
+    scale.half(impulse.offset_us)
+}
+
+/// -u, the DTFT's: exp(-i x) = cos(-x) + i sin(-x).
+#[inline(always)]
+fn dtft_turn(scale: PhaseScale, impulse: Impulse) -> Phase {
+    let half = scale.half(impulse.offset_us).to_bits();
+    Phase::from_bits((half << 1).wrapping_neg())
+}
+
+/// The sums of k = 1 to K - 1, zeroed.
+#[inline(always)]
+fn zeroed<T: Default + Copy>(sums: &mut [T], grid: usize) -> Option<&mut [T]> {
+    let sums = sums.get_mut(1..grid)?;
+    sums.fill(T::default());
+    Some(sums)
+}
+
+/// The real and the imaginary sums of k = 1 to K - 1, zeroed.
+#[inline(always)]
+fn zeroed_parts<T: Default + Copy>(sums: &mut [T], grid: usize) -> Option<(&mut [T], &mut [T])> {
+    let (re, im) = sums.get_mut(..2 * grid)?.split_at_mut_checked(grid)?;
+    Some((zeroed(re, grid)?, zeroed(im, grid)?))
+}
+
+/// The phases of k = 1, 2, ...
+#[inline(always)]
+fn multiples(turn: Phase) -> impl Iterator<Item = Phase> {
+    let mut phase = Phase::ZERO;
+    core::iter::repeat_with(move || {
+        phase = phase.wrapping_add(turn);
+        phase
+    })
+}

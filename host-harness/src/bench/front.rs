@@ -1,0 +1,68 @@
+//! The Pareto front: what nothing else beats in both cost and error.
+
+use super::Row;
+
+/// Sets [`Row::pareto`]. A row without an error takes no part.
+pub fn mark(rows: &mut [Row]) {
+    let is_on: Vec<bool> = rows
+        .iter()
+        .map(|row| row.max_error.is_some() && !rows.iter().any(|other| is_beaten(row, other)))
+        .collect();
+    for (row, is_on) in rows.iter_mut().zip(is_on) {
+        row.pareto = is_on;
+    }
+}
+
+/// Whether `other`, of the same transform, M, target and window, is as good and better in one.
+fn is_beaten(row: &Row, other: &Row) -> bool {
+    let group = |row: &Row| (row.transform, row.m, row.target, row.window);
+    let (Some(error), Some(others)) = (row.max_error, other.max_error) else {
+        return false;
+    };
+    group(row) == group(other)
+        && other.cost <= row.cost
+        && others <= error
+        && (other.cost < row.cost || others < error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(m: u8, cost: f64, max_error: Option<f64>) -> Row {
+        Row {
+            kernel: "x",
+            transform: "dct",
+            m,
+            target: "host",
+            window: "a",
+            cost,
+            unit: "ns/event",
+            cost_low: cost,
+            cost_high: cost,
+            max_error,
+            rms_error: max_error,
+            pareto: false,
+            events: 1,
+            coefficients: 1,
+        }
+    }
+
+    #[test]
+    fn what_is_beaten_is_off_the_front() {
+        let mut rows = [
+            row(8, 1.0, Some(1.0)),
+            row(8, 2.0, Some(0.5)),
+            row(8, 2.0, Some(0.6)),
+            row(8, 3.0, Some(0.5)),
+            row(8, 9.0, Some(0.0)),
+            row(8, 0.5, None),
+            // Another M, and equals of each other.
+            row(16, 5.0, Some(5.0)),
+            row(16, 5.0, Some(5.0)),
+        ];
+        mark(&mut rows);
+        let on: Vec<_> = rows.iter().map(|row| row.pareto).collect();
+        assert_eq!(on, [true, true, false, false, true, false, true, true]);
+    }
+}

@@ -1,0 +1,224 @@
+//! `eecvs bench`: run time against error of every kernel, and how encoding scales.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+
+use super::output::{print, print_json};
+use crate::bench::cut::{self, Cut};
+use crate::bench::{Effort, M, Origin, Row, measure, over_windows, scaling, steps};
+use crate::progress::Progress;
+use crate::report::kernel_chart;
+
+/// Where recordings are looked for unless a folder is given.
+const RECORDINGS: &str = "../shared/data";
+
+/// Measure run time against error of every kernel
+///
+/// Times the accumulate stage of every kernel and of its peers, for every transform, M = 8, 16, 24
+/// and 64, on three windows cut from recordings or, where those are absent, from emulated scenes;
+/// one thread. Every answer is first compared with the f64 reference. Instructions on a
+/// microcontroller are those saved with the project. Writes a chart to DIR.
+#[derive(Debug, Args)]
+pub struct Bench {
+    /// Folder of the chart
+    #[arg(short, long, value_name = "DIR", default_value = "target/bench")]
+    output: PathBuf,
+
+    /// Folder of the recordings to cut windows from; fails where one is missing
+    /// [default: ../shared/data where it is complete, else emulated scenes]
+    #[arg(long, value_name = "DIR", conflicts_with = "scaling")]
+    recordings: Option<PathBuf>,
+
+    /// Fewer events and repetitions: a look whether everything works, no figures to quote
+    #[arg(long)]
+    quick: bool,
+
+    /// Instead: time to encode over the sensor's area and over the number of events
+    #[arg(long)]
+    scaling: bool,
+
+    /// Print one JSON array of rows instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+impl Bench {
+    /// Measures and prints.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, a folder that cannot be written, a kernel that is not
+    /// within its documented error.
+    pub fn run(self) -> Result<()> {
+        if self.scaling {
+            return self.scale();
+        }
+        fs::create_dir_all(&self.output)
+            .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
+        let (cuts, origin) = self.cuts()?;
+        let effort = if self.quick {
+            Effort::QUICK
+        } else {
+            Effort::FULL
+        };
+        let progress = Progress::new(&format!("of {} points", steps(cuts.len())));
+        let rows = measure(&cuts, origin, effort, &mut || progress.advance(1));
+        drop(progress);
+        let rows = rows?;
+        let merged = over_windows(&rows);
+        let files = self.chart(&merged, &cuts)?;
+        if self.json {
+            return print_json(&rows);
+        }
+        print(&format!(
+            "accumulate stage, windows {} ({})\n{}\nchart: {}\n",
+            names(&cuts),
+            origin.name(),
+            table(&merged),
+            files.map(|file| file.display().to_string()).join(", "),
+        ))
+    }
+
+    /// What is measured.
+    fn cuts(&self) -> Result<(Vec<Cut>, Origin)> {
+        if let Some(folder) = &self.recordings {
+            ensure!(
+                folder.is_dir(),
+                "{}: no folder of recordings; leave --recordings out to take emulated scenes",
+                folder.display()
+            );
+            return Ok((cut::of_recordings(folder)?, Origin::Recordings));
+        }
+        let folder = Path::new(RECORDINGS);
+        if cut::recordings().all(|(_, file)| folder.join(file).exists()) {
+            return Ok((cut::of_recordings(folder)?, Origin::Recordings));
+        }
+        Ok((cut::of_scenes()?, Origin::Emulator))
+    }
+
+    /// Writes the chart of the host's rows.
+    fn chart(&self, merged: &[Row], cuts: &[Cut]) -> Result<[PathBuf; 2]> {
+        let host: Vec<Row> = merged
+            .iter()
+            .filter(|row| row.target == "host")
+            .cloned()
+            .collect();
+        let title = format!(
+            "Accumulate stage: run time against error at M = 8, 16, 24, 64; windows {}",
+            names(cuts)
+        );
+        let files = ["kernels.svg", "kernels.png"].map(|file| self.output.join(file));
+        let [svg, png] = &files;
+        fs::write(svg, kernel_chart::svg(&title, &host)?)
+            .with_context(|| format!("{}: cannot be written", svg.display()))?;
+        kernel_chart::picture(&title, &host)?.save(png)?;
+        Ok(files)
+    }
+
+    fn scale(&self) -> Result<()> {
+        let progress = Progress::new("events encoded");
+        let rows = scaling::measure(self.quick, &mut |events| progress.set(events));
+        drop(progress);
+        let rows = rows?;
+        if self.json {
+            print_json(&rows)
+        } else {
+            print(&scaling_table(&rows))
+        }
+    }
+}
+
+fn names(cuts: &[Cut]) -> String {
+    let names: Vec<_> = cuts.iter().map(|cut| cut.name).collect();
+    names.join(", ")
+}
+
+/// A table for each transform and target: kernels down, M across; `*` is on the front.
+fn table(rows: &[Row]) -> String {
+    let mut text = String::new();
+    for target in ["host", "cortex-m4"] {
+        for transform in ["dct", "dtft", "dwt", "none"] {
+            let here: Vec<&Row> = rows
+                .iter()
+                .filter(|row| row.target == target && row.transform == transform)
+                .collect();
+            let Some(first) = here.first() else {
+                continue;
+            };
+            let saved = if target == "cortex-m4" {
+                ", saved counts of the kernel in use"
+            } else {
+                ""
+            };
+            let name = if transform == "none" {
+                "no transform, M bins"
+            } else {
+                transform
+            };
+            text += &format!("\n{name}, {target}: {}, largest error{saved}\n", first.unit);
+            text += &format!("{:<15}", "");
+            for m in M {
+                text += &format!("{:>22}", format!("M = {m}  "));
+            }
+            text = text.trim_end().to_owned() + "\n";
+            let mut kernels: Vec<&str> = Vec::new();
+            for row in &here {
+                if !kernels.contains(&row.kernel) {
+                    kernels.push(row.kernel);
+                }
+            }
+            for kernel in kernels {
+                let mut line = format!("{kernel:<15}");
+                for m in M {
+                    let row = here.iter().find(|row| row.kernel == kernel && row.m == m);
+                    line += &row.map_or_else(|| " ".repeat(22), |row| cell(row));
+                }
+                text += line.trim_end();
+                text.push('\n');
+            }
+        }
+    }
+    text
+}
+
+/// Cost, error, and whether it is on the front, in 22 columns.
+fn cell(row: &Row) -> String {
+    let error = match row.max_error {
+        None => "-".to_owned(),
+        Some(0.0) => "0".to_owned(),
+        Some(error) => format!("{error:.1e}"),
+    };
+    let mark = if row.pareto { '*' } else { ' ' };
+    format!("{:>11.1} {error:>8} {mark}", row.cost)
+}
+
+fn scaling_table(rows: &[scaling::Row]) -> String {
+    let mut text = "whole encoder, DCT, M = 8, one thread\n".to_owned();
+    for (axis, heading) in [
+        ("sensor", "the same events spread over the sensor"),
+        ("events", "events on one sensor"),
+    ] {
+        text += &format!(
+            "\n{heading}\n{:<12}{:>10}{:>9}{:>12}{:>24}{:>11}\n",
+            "sensor", "events", "windows", "ms", "quartiles", "ns/event"
+        );
+        for row in rows.iter().filter(|row| row.axis == axis) {
+            let sensor = format!("{}x{}", row.width, row.height);
+            let quartiles = format!(
+                "{:.3} to {:.3}",
+                row.encode_s_low * 1e3,
+                row.encode_s_high * 1e3
+            );
+            text += &format!(
+                "{sensor:<12}{:>10}{:>9}{:>12.3}{quartiles:>24}{:>11.1}\n",
+                row.events,
+                row.windows,
+                row.encode_s * 1e3,
+                row.ns_per_event
+            );
+        }
+    }
+    text
+}

@@ -1,0 +1,332 @@
+//! Run time against error of every kernel, a panel for each transform.
+//!
+//! Both axes are logarithmic. A kernel has a colour of the Okabe-Ito set and a point for each M; a
+//! point on the front of its M is filled, and a line joins those of one M. An error of 0 stands at
+//! the foot.
+
+use anyhow::{Result, anyhow, ensure};
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+use super::picture::Picture;
+use super::picture_backend::PictureBackend;
+use crate::bench::Row;
+
+const WIDTH: u32 = 1200;
+const HEIGHT: u32 = 520;
+/// Pixels of the PNG for one of the SVG.
+const PNG_SCALE: i32 = 2;
+
+const INK: RGBColor = RGBColor(50, 50, 50);
+const GRID: RGBColor = RGBColor(228, 228, 228);
+const FRONT: RGBColor = RGBColor(140, 140, 140);
+const COLOURS: [(&str, RGBColor); 9] = [
+    ("table", RGBColor(0, 114, 178)),
+    ("recurrence", RGBColor(213, 94, 0)),
+    ("precise", RGBColor(0, 158, 115)),
+    ("micromath", RGBColor(230, 159, 0)),
+    ("libm", RGBColor(204, 121, 167)),
+    ("haar", RGBColor(86, 180, 233)),
+    ("oracle-f64", RGBColor(0, 0, 0)),
+    ("binning-fft", RGBColor(130, 130, 130)),
+    ("voxel-bilinear", VOXEL),
+];
+const VOXEL: RGBColor = RGBColor(150, 110, 60);
+const PANELS: [(&str, &str); 3] = [("dct", "DCT"), ("dtft", "DTFT"), ("dwt", "Haar DWT")];
+
+/// The chart as SVG text.
+///
+/// # Errors
+/// A cost that is not above 0, or an error that is not a number.
+pub fn svg(title: &str, rows: &[Row]) -> Result<String> {
+    let axes = Axes::new(rows)?;
+    let mut svg = String::new();
+    {
+        let area = SVGBackend::with_string(&mut svg, (WIDTH, HEIGHT)).into_drawing_area();
+        draw(&area, title, rows, axes, 1)
+            .map_err(|error| anyhow!("the chart cannot be drawn: {error}"))?;
+    }
+    Ok(svg)
+}
+
+/// The chart as a picture.
+///
+/// # Errors
+/// As [`svg`].
+pub fn picture(title: &str, rows: &[Row]) -> Result<Picture> {
+    let axes = Axes::new(rows)?;
+    let side = |side: u32| side as usize * PNG_SCALE as usize;
+    let mut picture = Picture::new(side(WIDTH), side(HEIGHT), [255; 3]);
+    {
+        let area = PictureBackend(&mut picture).into_drawing_area();
+        draw(&area, title, rows, axes, PNG_SCALE)
+            .map_err(|error| anyhow!("the chart cannot be drawn: {error}"))?;
+    }
+    Ok(picture)
+}
+
+/// Ends of both axes.
+#[derive(Debug, Clone, Copy)]
+struct Axes {
+    costs: (f64, f64),
+    errors: (f64, f64),
+    /// Where an error of 0 stands.
+    zero: f64,
+}
+
+impl Axes {
+    fn new(rows: &[Row]) -> Result<Self> {
+        let (mut costs, mut errors) = ((f64::INFINITY, 0.0_f64), (f64::INFINITY, 0.0_f64));
+        for row in rows {
+            ensure!(
+                row.cost.is_finite() && row.cost > 0.0,
+                "{} costs {}",
+                row.kernel,
+                row.cost
+            );
+            costs = (costs.0.min(row.cost), costs.1.max(row.cost));
+            if let Some(error) = row.max_error {
+                ensure!(
+                    error.is_finite() && error >= 0.0,
+                    "{} has an error of {error}",
+                    row.kernel
+                );
+                if error > 0.0 {
+                    errors = (errors.0.min(error), errors.1.max(error));
+                }
+            }
+        }
+        // Without any point: some axes.
+        if costs.1 == 0.0 {
+            costs = (1.0, 100.0);
+        }
+        if errors.1 == 0.0 {
+            errors = (1e-8, 1.0);
+        }
+        // A line of the grid of its own.
+        let zero = 10_f64.powf(errors.0.log10().floor() - 1.0);
+        Ok(Self {
+            costs: (costs.0 / 1.6, costs.1 * 2.0),
+            errors: (zero / 3.0, errors.1 * 5.0),
+            zero,
+        })
+    }
+
+    fn error(&self, row: &Row) -> Option<f64> {
+        row.max_error.map(|error| error.max(self.zero))
+    }
+
+    /// Of the errors.
+    fn label(&self, error: f64) -> String {
+        if (error / self.zero - 1.0).abs() < 1e-6 {
+            "0".to_owned()
+        } else {
+            power(error)
+        }
+    }
+}
+
+fn colour(kernel: &str) -> RGBColor {
+    let known = COLOURS.iter().find(|(name, _)| *name == kernel);
+    known.map_or(INK, |(_, colour)| *colour)
+}
+
+fn text(size: i32, scale: i32) -> TextStyle<'static> {
+    ("sans-serif", size * scale).into_font().color(&INK)
+}
+
+/// A power of ten, or nothing.
+fn power(value: f64) -> String {
+    let log10 = value.log10();
+    let whole = log10.round();
+    if (log10 - whole).abs() > 1e-6 {
+        return String::new();
+    }
+    if (0.0..=4.0).contains(&whole) {
+        format!("{:.0}", 10_f64.powf(whole))
+    } else {
+        format!("1e{whole:.0}")
+    }
+}
+
+type Drawn<B> = std::result::Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
+
+fn draw<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    title: &str,
+    rows: &[Row],
+    axes: Axes,
+    scale: i32,
+) -> Drawn<B>
+where
+    B::ErrorType: 'static,
+{
+    area.fill(&WHITE)?;
+    let (head, panels) = area.split_vertically(62 * scale);
+    head.draw_text(title, &text(14, scale), (14 * scale, 10 * scale))?;
+    let mut x = 20 * scale;
+    for (name, colour) in COLOURS {
+        if !rows.iter().any(|row| row.kernel == name) {
+            continue;
+        }
+        let y = 46 * scale;
+        if name == "voxel-bilinear" {
+            head.draw(&TriangleMarker::new((x, y), 5 * scale, colour.filled()))?;
+        } else {
+            head.draw(&Circle::new((x, y), 5 * scale, colour.filled()))?;
+        }
+        let style = text(12, scale);
+        let at = (x + 10 * scale, y - 6 * scale);
+        head.draw_text(name, &style, at)?;
+        x += (30 + 8 * name.len() as i32) * scale;
+    }
+    for (panel, (transform, name)) in panels.split_evenly((1, 3)).iter().zip(PANELS) {
+        draw_panel(panel, (transform, name), rows, axes, scale)?;
+    }
+    area.present()
+}
+
+fn draw_panel<B: DrawingBackend>(
+    panel: &DrawingArea<B, Shift>,
+    (transform, name): (&str, &str),
+    rows: &[Row],
+    axes: Axes,
+    scale: i32,
+) -> Drawn<B>
+where
+    B::ErrorType: 'static,
+{
+    let unit = rows.first().map_or("ns/event", |row| row.unit);
+    let mut chart = ChartBuilder::on(panel)
+        .caption(name, text(14, scale))
+        .margin(8 * scale)
+        .margin_right(16 * scale)
+        .x_label_area_size(40 * scale)
+        .y_label_area_size(60 * scale)
+        .build_cartesian_2d(
+            (axes.costs.0..axes.costs.1).log_scale(),
+            (axes.errors.0..axes.errors.1).log_scale(),
+        )?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(GRID)
+        .axis_style(FRONT)
+        .label_style(text(11, scale))
+        .axis_desc_style(text(12, scale))
+        .x_desc(unit)
+        .y_desc("largest error of a coefficient")
+        .x_label_formatter(&|v| power(*v))
+        .y_label_formatter(&|v| axes.label(*v))
+        .draw()?;
+    let here = || rows.iter().filter(|row| row.transform == transform);
+    let mut ms: Vec<u8> = here().map(|row| row.m).collect();
+    ms.sort_unstable();
+    ms.dedup();
+    for m in ms {
+        let mut front: Vec<_> = here()
+            .filter(|row| row.m == m && row.pareto)
+            .filter_map(|row| Some((row.cost, axes.error(row)?)))
+            .collect();
+        front.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let line = FRONT.stroke_width(scale as u32);
+        chart.draw_series(LineSeries::new(front, line))?;
+    }
+    for row in here() {
+        let Some(error) = axes.error(row) else {
+            continue;
+        };
+        let (at, colour) = ((row.cost, error), colour(row.kernel));
+        // White below a ring, so that lines end at it.
+        chart.draw_series([Circle::new(at, 4 * scale, WHITE.filled())])?;
+        let style = if row.pareto {
+            colour.filled()
+        } else {
+            colour.stroke_width(scale as u32)
+        };
+        chart.draw_series([Circle::new(at, 4 * scale, style)])?;
+        let (x, y) = chart.backend_coord(&at);
+        let (left, top) = panel.get_base_pixel();
+        let label = text(10, scale).color(&colour);
+        let at = (x - left + 5 * scale, y - top - 12 * scale);
+        panel.draw_text(&row.m.to_string(), &label, at)?;
+    }
+    // At the foot: what has no error.
+    for row in rows.iter().filter(|row| row.transform == "none") {
+        let at = (row.cost, axes.errors.0);
+        chart.draw_series([TriangleMarker::new(at, 4 * scale, VOXEL.filled())])?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(kernel: &'static str, m: u8, cost: f64, max_error: Option<f64>) -> Row {
+        Row {
+            kernel,
+            transform: if max_error.is_some() { "dct" } else { "none" },
+            m,
+            target: "host",
+            window: "all",
+            cost,
+            unit: "ns/event",
+            cost_low: cost,
+            cost_high: cost,
+            max_error,
+            rms_error: max_error,
+            pareto: kernel == "table",
+            events: 1,
+            coefficients: 1,
+        }
+    }
+
+    #[test]
+    fn every_point_is_drawn_in_its_colour() {
+        let rows = [
+            row("table", 8, 3.0, Some(1e-4)),
+            row("table", 16, 7.0, Some(2e-4)),
+            row("micromath", 8, 9.0, Some(1e-2)),
+            row("oracle-f64", 8, 900.0, Some(0.0)),
+            row("voxel-bilinear", 8, 2.0, None),
+        ];
+        let svg = svg("title", &rows).unwrap();
+        let dots = |colour: &str| {
+            let circle = |line: &&str| line.starts_with("<circle") && line.contains(colour);
+            svg.lines().filter(circle).count()
+        };
+        // One more of each explains its colour.
+        assert_eq!(dots("#0072B2"), 3);
+        assert_eq!(dots("#E69F00"), 2);
+        assert!(svg.contains("</svg>") && !svg.contains("NaN"));
+        let picture = picture("title", &rows).unwrap();
+        assert_eq!(picture.width(), 2400);
+        let has =
+            |colour| (0..2400).any(|x| (0..1040).any(|y| picture.pixel(x, y) == Some(colour)));
+        assert!(has([0, 114, 178]) && has([230, 159, 0]) && !has([213, 94, 0]));
+    }
+
+    #[test]
+    fn extremes_are_drawn_or_refused() {
+        assert!(svg("no point", &[]).unwrap().contains("</svg>"));
+        picture("one", &[row("table", 8, 1.0, Some(0.0))]).unwrap();
+        for (cost, error) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, f64::NAN), (1.0, -1.0)] {
+            assert!(svg("wrong", &[row("table", 8, cost, Some(error))]).is_err());
+        }
+    }
+
+    #[test]
+    fn labels_are_powers_of_ten() {
+        let cases = [
+            (1.0, "1"),
+            (100.0, "100"),
+            (1e-5, "1e-5"),
+            (3.0, ""),
+            (1e7, "1e7"),
+        ];
+        for (value, label) in cases {
+            assert_eq!(power(value), label);
+        }
+    }
+}
