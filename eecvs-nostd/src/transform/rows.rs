@@ -215,7 +215,7 @@ impl Cosines {
         }
     }
 
-    /// The sums that [`Self::sum`] made last.
+    /// The sums of the pixel that was summed up last.
     #[inline(always)]
     #[must_use]
     pub const fn sums(&self) -> &[i32; ATOMS] {
