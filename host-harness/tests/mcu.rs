@@ -191,10 +191,11 @@ fn cut_in_a_packet(connect: Connect<'_>) {
 fn flood(connect: Connect<'_>) {
     let job = Job {
         open: &open,
-        // As slow as it gets.
+        // As slow as it gets, to compute and to send.
         config: Config {
             m: 64,
             transform: Some(Transform::Dtft),
+            quantiser: Quantiser::new(Quantiser::STEP_LOG2_MIN).expect("in range"),
             ..config()
         },
         drop_when_full: true,

@@ -57,7 +57,7 @@ pub struct Behaviour {
 impl Behaviour {
     pub const GOOD: Self = Self {
         window_events: 700,
-        frame_bytes: 2048,
+        frame_bytes: 800,
         deaf_to: 0,
         full_for: 3,
         fault: Fault::None,
