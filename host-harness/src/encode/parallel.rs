@@ -1,6 +1,8 @@
 //! Encoding on several threads, with the bytes of one.
 //!
-//!     reader -> events -> cutter -> windows -> encoders -> chunks of frames -> writer
+//! ```text
+//! reader -> events -> cutter -> windows -> encoders -> chunks of frames -> writer
+//! ```
 //!
 //! One thread reads ahead, N encode, the caller's writes. There is no thread that cuts: whoever has
 //! nothing to encode takes the lock of the cutter, fills windows of its own and, before it gives
