@@ -8,7 +8,6 @@ use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
-use eecvs_nostd::transform::Oscillators;
 use eecvs_nostd::{
     Config, Encoder, Event, Frame, Polarity, Push, Quantiser, Scratch, Sensor, Thresholds, Window,
     WindowBuffers, WindowConfig, WindowEncoder,
@@ -138,7 +137,6 @@ impl Machine {
             Some(Work::Setup(setup, _)) => {
                 let config = setup.config().expect("the test's own");
                 let scratch = Scratch {
-                    oscillators: Box::leak(Box::new(Oscillators::new())),
                     sums: leak(Sum::ZERO, 64),
                     totals: leak(WideSum::ZERO, 64),
                     magnitudes: leak(0, 64),
@@ -202,9 +200,7 @@ fn expected(events: &[Event]) -> Vec<u8> {
         .next()
         .unwrap();
     let (mut sums, mut totals, mut magnitudes) = ([Sum::ZERO; 64], [WideSum::ZERO; 64], [0; 64]);
-    let mut oscillators = Oscillators::new();
     let scratch = Scratch {
-        oscillators: &mut oscillators,
         sums: &mut sums,
         totals: &mut totals,
         magnitudes: &mut magnitudes,

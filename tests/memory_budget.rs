@@ -3,7 +3,6 @@
 use std::mem::size_of;
 
 use eecvs_nostd::fixed_point::{Sum, WideSum};
-use eecvs_nostd::transform::Oscillators;
 use eecvs_nostd::{Slot, WindowEncoder, bitmap_words, segments};
 
 const RAM_BYTES: usize = 128 << 10;
@@ -51,7 +50,6 @@ fn the_budget_of_the_linker_script_is_true() {
             "numbers",
             NUMBERS * (size_of::<Sum>() + size_of::<WideSum>() + size_of::<u32>()),
         ),
-        ("oscillators", size_of::<Oscillators>()),
         // Of a 64-bit host: pointers are narrower on the target.
         ("encoder", size_of::<WindowEncoder<'_>>()),
         ("output", FRAME_BYTES),

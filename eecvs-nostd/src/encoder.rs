@@ -15,7 +15,7 @@ use crate::prune::Kept;
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
 use crate::trace::{Stage, Trace};
-use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, M_MAX, Oscillators, Transform};
+use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, M_MAX, Transform};
 use crate::window::{Closed, Push, Window, WindowBuffers, WindowConfig};
 
 /// Smallest output that always takes a frame with at least one pixel.
@@ -99,12 +99,9 @@ impl Config {
     }
 }
 
-/// Memory lent for one pixel, zeroed or not: a chunk of its events, and 2K of each number of its
-/// coefficients.
+/// Memory lent for the coefficients of one pixel, zeroed or not: 2K of each number.
 #[derive(Debug)]
 pub struct Scratch<'b> {
-    /// Events of a chunk.
-    pub oscillators: &'b mut Oscillators,
     /// Sums of a chunk.
     pub sums: &'b mut [Sum],
     /// Sums of a pixel of several chunks.

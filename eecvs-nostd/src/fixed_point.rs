@@ -4,27 +4,30 @@
 //! |---|---|---|---|
 //! | phase u = (t - t0) / T, a fraction of a turn | [`Phase`] = U0F32 | [0, 1) | 2^-32 |
 //! | atom value | [`Atom`] = I2F30 | [-1, 1] | 2^-30 |
-//! | sum of up to [`CHUNK_EVENTS`] atoms | [`Sum`] = I9F23 | ±256 | 2^-23 |
-//! | sum over a window | [`WideSum`] = I41F23 | ±2^40 | 2^-23 |
+//! | sum of up to [`CHUNK_EVENTS`] atoms | [`Sum`] = I7F25 | ±64 | 2^-25 |
+//! | sum over a window | [`WideSum`] = I39F25 | ±2^38 | 2^-25 |
 //!
-//! Products keep their upper 32 bits ([`mul_high`], one instruction where a 32 x 32 multiplier is):
-//! an atom enters a sum floored to 2^-23. The sums add without any rounding, and the quantiser
-//! floors to the middle of its step ([`crate::quantise`]).
+//! An atom has the sums' 25 fractional bits from the start ([`dot_add`], one instruction where there
+//! are two 16 x 16 multipliers), so sums add without any rounding; the quantiser floors to the middle
+//! of its step ([`crate::quantise`]).
 
-use fixed::types::{I2F30, I9F23, I41F23, U0F32};
+use fixed::types::{I2F30, I7F25, I39F25, U0F32};
 
 /// Fraction of a turn; wraps, so that k * phase never drifts.
 pub type Phase = U0F32;
 /// Value of an atom.
 pub type Atom = I2F30;
 /// Sum of at most [`CHUNK_EVENTS`] signed atoms.
-pub type Sum = I9F23;
+pub type Sum = I7F25;
 /// Sum over all events that a window can hold.
-pub type WideSum = I41F23;
+pub type WideSum = I39F25;
 
-/// Events summed in one go; [`Sum`] holds up to 255 without overflow.
-pub const CHUNK_EVENTS: usize = 64;
-const _: () = assert!(CHUNK_EVENTS < 256);
+/// Fractional bits of both sums.
+pub const FRACTION_BITS: u32 = 25;
+
+/// Events summed in one go: as many as [`Sum`] holds without overflow.
+pub const CHUNK_EVENTS: usize = 63;
+const _: () = assert!(CHUNK_EVENTS << FRACTION_BITS <= i32::MAX as usize);
 
 /// floor(a b / 2^32)
 #[inline(always)]
@@ -193,10 +196,10 @@ pub trait Coefficient: Copy {
     /// `value`, which must be in range.
     fn from_integer(value: i32) -> Self;
 
-    /// The value with 23 fractional bits.
+    /// The value in the wider type.
     fn wide(self) -> WideSum;
 
-    /// floor(value / 2^-23 / 2^`shift`), cut to 32 bits; `shift` is 8 to 31.
+    /// floor(value / 2^-25 / 2^`shift`), cut to 32 bits; `shift` is 10 to 33.
     fn level(self, shift: u32) -> i32;
 
     /// Whether [`Self::level`] cuts.
@@ -217,7 +220,7 @@ impl Coefficient for Sum {
 
     #[inline(always)]
     fn from_integer(value: i32) -> Self {
-        Self::from_bits(value << 23)
+        Self::from_bits(value << FRACTION_BITS)
     }
 
     #[inline(always)]
@@ -227,7 +230,8 @@ impl Coefficient for Sum {
 
     #[inline(always)]
     fn level(self, shift: u32) -> i32 {
-        self.to_bits() >> (shift & 31)
+        // From 31 on, nothing but the sign is left.
+        self.to_bits() >> shift.min(31)
     }
 
     #[inline(always)]
@@ -242,13 +246,13 @@ impl Coefficient for Sum {
 
     #[inline(always)]
     fn integer(self) -> i32 {
-        self.to_bits() >> 23
+        self.to_bits() >> FRACTION_BITS
     }
 
-    /// `width` is at most 8: a chunk holds fewer than 256 events.
+    /// `width` is at most 6: a chunk holds fewer than 64 events.
     #[inline(always)]
     fn relative(self, width: u32) -> i32 {
-        self.to_bits() << (8_u32.wrapping_sub(width) & 31)
+        self.to_bits() << (6_u32.wrapping_sub(width) & 31)
     }
 }
 
@@ -257,7 +261,7 @@ impl Coefficient for WideSum {
 
     #[inline]
     fn from_integer(value: i32) -> Self {
-        Self::from_bits(i64::from(value) << 23)
+        Self::from_bits(i64::from(value) << FRACTION_BITS)
     }
 
     #[inline]
@@ -267,17 +271,17 @@ impl Coefficient for WideSum {
 
     #[inline]
     fn level(self, shift: u32) -> i32 {
-        (self.to_bits() >> (shift & 31)).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
+        (self.to_bits() >> (shift & 63)).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
     }
 
     #[inline]
     fn is_cut(self, shift: u32) -> bool {
-        i64::from(self.level(shift)) != self.to_bits() >> (shift & 31)
+        i64::from(self.level(shift)) != self.to_bits() >> (shift & 63)
     }
 
     #[inline]
     fn integer(self) -> i32 {
-        (self.to_bits() >> 23) as i32
+        (self.to_bits() >> FRACTION_BITS) as i32
     }
 
     #[inline]
@@ -287,7 +291,7 @@ impl Coefficient for WideSum {
 
     #[inline]
     fn relative(self, width: u32) -> i32 {
-        ((self.to_bits() << 8) >> (width & 31)) as i32
+        ((self.to_bits() << 6) >> (width & 31)) as i32
     }
 }
 
@@ -300,7 +304,7 @@ mod tests {
         for value in [-3.75, -1.0, -0.5, -0.0078125, 0.0, 0.25, 0.999, 3.5] {
             let (sum, wide) = (Sum::from_num(value), WideSum::from_num(value));
             assert_eq!(sum.wide(), wide);
-            for shift in [8, 17, 23, 31] {
+            for shift in [10, 19, 25, 31, 33] {
                 assert_eq!(sum.level(shift), wide.level(shift), "{value} {shift}");
                 assert!(!sum.is_cut(shift) && !wide.is_cut(shift));
             }
@@ -318,7 +322,7 @@ mod tests {
             (-65_537, i32::MIN, true),
         ] {
             let value = WideSum::from_num(value);
-            assert_eq!((value.level(8), value.is_cut(8)), (level, is_cut));
+            assert_eq!((value.level(10), value.is_cut(10)), (level, is_cut));
         }
         let most = WideSum::from_num((1 << 24) - 1);
         assert_eq!(most.relative(24), ((1 << 24) - 1) << 7);

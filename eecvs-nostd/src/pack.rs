@@ -5,7 +5,7 @@ use crate::descriptor::{Coded, Descriptor};
 use crate::packing::{MASK_GRID_MAX, Packing, width_of};
 use crate::prune::Kept;
 use crate::quantise::{Levels, highest_bits, side_by_side};
-use crate::transform::rows::{self, Cosines};
+use crate::transform::rows::Cosines;
 use crate::transform::{M_MAX, Rule, Transform};
 
 impl Packing {
@@ -18,7 +18,7 @@ impl Packing {
             width: u32::from(self.sensor.width),
             cells_log2: self.cells_log2(),
             one_bits: self.level_bits_max(1),
-            shift: self.quantiser.shift() + rows::MORE_BITS,
+            shift: self.quantiser.shift(),
         }
     }
 
@@ -296,7 +296,12 @@ impl Packer {
         writer: &mut BitWriter<'_>,
     ) {
         self.gap.before = before;
-        self.seven_portable(index, counts, (sums, rows::spread(sums)), writer);
+        self.seven_portable(
+            index,
+            counts,
+            (sums, crate::transform::rows::spread(sums)),
+            writer,
+        );
     }
 
     /// What brings sums of [`rows`] to levels; bits of a level of one event and one.

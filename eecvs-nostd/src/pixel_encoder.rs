@@ -77,15 +77,12 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         }
         trace.enter(Stage::Accumulate);
         let Scratch {
-            oscillators,
-            sums,
-            magnitudes,
-            ..
+            sums, magnitudes, ..
         } = &mut *self.scratch;
         let impulses = Impulses::new(pixel, slots);
-        B::accumulate(impulses, self.scale, self.shape.grid, oscillators, sums);
+        B::accumulate(impulses, self.scale, self.shape.grid, sums);
         if B::RULE as u8 == Rule::Magnitude as u8 {
-            set_zeroth::<B, _>(pixel, self.shape.grid, sums);
+            set_zeroth::<B, _>(pixel, sums);
         }
         let mut rest = Rest {
             shape: self.shape,
@@ -191,7 +188,6 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
     ) -> u32 {
         trace.enter(Stage::Accumulate);
         let Scratch {
-            oscillators,
             sums,
             totals,
             magnitudes,
@@ -203,14 +199,14 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         }
         let mut impulses = Impulses::new(pixel, slots);
         for _ in 0..(pixel.on + pixel.off).div_ceil(CHUNK_EVENTS_U32) {
-            B::accumulate(impulses.clone(), self.scale, grid, oscillators, sums);
+            B::accumulate(impulses.clone(), self.scale, grid, sums);
             for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
-                // Fewer than 2^24 events of at most 1 each: far from the 2^40 that a total holds.
+                // Fewer than 2^24 events of at most 1 each: far from the 2^38 that a total holds.
                 *total = total.wrapping_add(sum.wide());
             }
             let _ = impulses.nth(CHUNK_EVENTS - 1);
         }
-        set_zeroth::<B, _>(pixel, grid, totals);
+        set_zeroth::<B, _>(pixel, totals);
         let mut rest = Rest {
             shape: self.shape,
             magnitudes,
@@ -223,12 +219,12 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
 
 /// c_0 = on - off.
 #[inline(always)]
-fn set_zeroth<B: Basis, C: Coefficient>(pixel: Pixel, grid: usize, sums: &mut [C]) {
+fn set_zeroth<B: Basis, C: Coefficient>(pixel: Pixel, sums: &mut [C]) {
     if let Some(re) = sums.first_mut() {
         *re = C::from_integer(pixel.on as i32 - pixel.off as i32);
     }
     if B::TRANSFORM.is_complex()
-        && let Some(im) = sums.get_mut(grid)
+        && let Some(im) = sums.get_mut(1)
     {
         *im = C::from_integer(0);
     }

@@ -2,7 +2,7 @@
 
 use core::num::NonZeroU32;
 
-use crate::fixed_point::{Coefficient, mul_add};
+use crate::fixed_point::{Coefficient, FRACTION_BITS, mul_add};
 use crate::transform::Transform;
 use crate::transform::dwt::scale_of;
 
@@ -62,11 +62,11 @@ impl Quantiser {
         self.step_log2
     }
 
-    /// log2 of the step in units of 2^-23, 8 to 31: what [`Coefficient::level`] takes.
+    /// log2 of the step in units of 2^-25, 10 to 33: what [`Coefficient::level`] takes.
     #[inline(always)]
     #[must_use]
     pub const fn shift(self) -> u32 {
-        (23 + self.step_log2 as i32) as u32
+        (FRACTION_BITS as i32 + self.step_log2 as i32) as u32
     }
 
     /// floor(`coefficient` / D), cut to 32 bits.
@@ -281,7 +281,7 @@ mod tests {
             let is_cut = value.is_cut(quantiser.shift());
             prop_assert!(is_cut || (back - value.to_num::<f64>()).abs() <= step / 2.0);
 
-            let difference = (bits >> 23) as i32;
+            let difference = (bits >> FRACTION_BITS) as i32;
             let scale = scale_of(usize::from(k));
             let re = quantiser.haar(difference, scale);
             let (back, _) = quantiser.dequantise(Transform::Dwt, Level { k, re, im: 0 });

@@ -2,7 +2,6 @@
 
 use crate::encoder::{Config, Encoder, Scratch, SetupError};
 use crate::fixed_point::{Sum, WideSum};
-use crate::transform::Oscillators;
 use crate::window::{Head, Slot, WindowBuffers};
 
 /// Every buffer of an encoder, zeroed, for `.bss`.
@@ -20,7 +19,6 @@ pub struct Storage<
     slots: [Slot; EVENTS],
     heads: [Head; SEGMENTS],
     bitmap: [u32; BITMAP],
-    oscillators: Oscillators,
     sums: [Sum; NUMBERS],
     totals: [WideSum; NUMBERS],
     magnitudes: [u32; NUMBERS],
@@ -36,7 +34,6 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             slots: [Slot::EMPTY; EVENTS],
             heads: [0; SEGMENTS],
             bitmap: [0; BITMAP],
-            oscillators: Oscillators::new(),
             sums: [Sum::ZERO; NUMBERS],
             totals: [WideSum::ZERO; NUMBERS],
             magnitudes: [0; NUMBERS],
@@ -56,7 +53,6 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             bitmap: &mut self.bitmap,
         };
         let scratch = Scratch {
-            oscillators: &mut self.oscillators,
             sums: &mut self.sums,
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
@@ -115,7 +111,6 @@ mod tests {
                 .chain(&storage.bitmap)
                 .all(|word| *word == 0)
         );
-        assert!(storage.oscillators.are_zero());
         assert!(storage.sums.iter().all(|sum| sum.to_bits() == 0));
         assert!(storage.totals.iter().all(|total| total.to_bits() == 0));
         assert!(storage.magnitudes.iter().all(|magnitude| *magnitude == 0));
@@ -126,14 +121,12 @@ mod tests {
         let (mut slots, mut heads, mut bitmap) = ([Slot::EMPTY; 1], [0; SEGMENTS], [0; BITMAP]);
         let (mut sums, mut totals) = ([Sum::ZERO; 64], [WideSum::ZERO; 64]);
         let mut magnitudes = [0; 64];
-        let mut oscillators = Oscillators::new();
         let buffers = WindowBuffers {
             slots: &mut slots,
             heads: &mut heads,
             bitmap: &mut bitmap,
         };
         let scratch = Scratch {
-            oscillators: &mut oscillators,
             sums: &mut sums,
             totals: &mut totals,
             magnitudes: &mut magnitudes,

@@ -3,7 +3,6 @@
 use eecvs_nostd::event_link::{Kind, Packet, Setup, Status};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Work};
-use eecvs_nostd::transform::Oscillators;
 use eecvs_nostd::{
     Config, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers, WindowConfig,
     WindowEncoder,
@@ -76,14 +75,12 @@ impl Encoding {
     /// The encoder before its first setup. `None` when called again.
     #[inline(never)]
     pub fn new(sender: Sender) -> Option<Self> {
-        static OSCILLATORS: ConstStaticCell<Oscillators> = ConstStaticCell::new(Oscillators::new());
         static SUMS: ConstStaticCell<[Sum; NUMBERS]> = ConstStaticCell::new([Sum::ZERO; NUMBERS]);
         static TOTALS: ConstStaticCell<[WideSum; NUMBERS]> =
             ConstStaticCell::new([WideSum::ZERO; NUMBERS]);
         static MAGNITUDES: ConstStaticCell<[u32; NUMBERS]> = ConstStaticCell::new([0; NUMBERS]);
         static OUT: ConstStaticCell<[u8; FRAME_BYTES]> = ConstStaticCell::new([0; FRAME_BYTES]);
         let scratch = Scratch {
-            oscillators: OSCILLATORS.try_take()?,
             sums: SUMS.try_take()?,
             totals: TOTALS.try_take()?,
             magnitudes: MAGNITUDES.try_take()?,

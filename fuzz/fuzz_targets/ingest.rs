@@ -8,7 +8,6 @@ use eecvs_nostd::event_link::{BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Se
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
-use eecvs_nostd::transform::Oscillators;
 use eecvs_nostd::{
     Config, Frame, OUTPUT_BYTES_MIN, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers,
     WindowConfig, WindowEncoder,
@@ -103,11 +102,9 @@ impl<'b> Machine<'b> {
 fuzz_target!(|data: &[u8]| {
     let mut memory = vec![0; 2 * 120];
     let buffers = WindowBuffers::share(&mut memory, 2, CONFIG.sensor).expect("room for both");
-    let mut oscillators = Oscillators::new();
     let (mut sums, mut totals) = ([Sum::ZERO; 32], [WideSum::ZERO; 32]);
     let mut magnitudes = [0; 32];
     let scratch = Scratch {
-        oscillators: &mut oscillators,
         sums: &mut sums,
         totals: &mut totals,
         magnitudes: &mut magnitudes,

@@ -1,6 +1,6 @@
 //! The Haar transform's histogram and butterflies.
 
-use super::{Accumulate, Impulse, Kernel, Oscillators, PhaseScale};
+use super::{Accumulate, Impulse, Kernel, PhaseScale};
 use crate::fixed_point::Sum;
 use crate::transform::{Basis, Dwt};
 
@@ -11,15 +11,16 @@ pub struct Haar;
 impl Accumulate<Dwt> for Haar {
     const KERNEL: Kernel = Kernel::Haar;
     type Sum = Sum;
+    type Work = ();
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        work: &mut Oscillators,
+        (): &mut (),
         sums: &mut [Sum],
     ) {
-        Dwt::accumulate(impulses, scale, grid, work, sums);
+        Dwt::accumulate(impulses, scale, grid, sums);
     }
 }

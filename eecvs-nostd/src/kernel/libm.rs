@@ -4,8 +4,7 @@
 //! starts anew every [`RUN`] coefficients.
 
 use super::{
-    Accumulate, Impulse, Kernel, Oscillators, Phase, PhaseScale, dct_turn, dtft_turn, zeroed,
-    zeroed_parts,
+    Accumulate, Impulse, Kernel, Phase, PhaseScale, dct_turn, dtft_turn, zeroed, zeroed_pairs,
 };
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::transform::{Dct, Dtft};
@@ -25,13 +24,14 @@ pub struct Libm;
 impl Accumulate<Dct> for Libm {
     const KERNEL: Kernel = Kernel::Libm;
     type Sum = f32;
+    type Work = ();
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        _: &mut Oscillators,
+        (): &mut (),
         sums: &mut [f32],
     ) {
         let Some(sums) = zeroed(sums, grid) else {
@@ -47,7 +47,8 @@ impl Accumulate<Dct> for Libm {
                     0 => (1.0, step),
                     k => (cos(k), cos(k + 1)),
                 };
-                add(sums, 2.0 * step, sign * before, sign * now);
+                let sums = sums.as_chunks_mut::<1>().0;
+                add(sums, 2.0 * step, [sign * before], [sign * now]);
             }
         }
     }
@@ -56,29 +57,30 @@ impl Accumulate<Dct> for Libm {
 impl Accumulate<Dtft> for Libm {
     const KERNEL: Kernel = Kernel::Libm;
     type Sum = f32;
+    type Work = ();
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        _: &mut Oscillators,
+        (): &mut (),
         sums: &mut [f32],
     ) {
-        let Some((re, im)) = zeroed_parts(sums, grid) else {
+        let Some(sums) = zeroed_pairs(sums, grid) else {
             return;
         };
         for impulse in impulses.take(CHUNK_EVENTS) {
             let turn = dtft_turn(scale, impulse);
             let sin_cos = |k| ::libm::sincosf(radians(turn, k));
             let (sign, (sin, step)) = (sign(impulse), sin_cos(1));
-            for (run, (re, im)) in re.chunks_mut(RUN).zip(im.chunks_mut(RUN)).enumerate() {
+            for (run, sums) in sums.chunks_mut(RUN).enumerate() {
                 let (before, now) = match run * RUN {
                     0 => ((0.0, 1.0), (sin, step)),
                     k => (sin_cos(k), sin_cos(k + 1)),
                 };
-                add(re, 2.0 * step, sign * before.1, sign * now.1);
-                add(im, 2.0 * step, sign * before.0, sign * now.0);
+                let signed = |(sin, cos)| [sign * cos, sign * sin];
+                add(sums, 2.0 * step, signed(before), signed(now));
             }
         }
     }
@@ -95,11 +97,18 @@ fn sign(impulse: Impulse) -> f32 {
     if impulse.is_on { 1.0 } else { -1.0 }
 }
 
-/// Adds `now` and what follows it.
+/// Adds `now` and what follows it, of one recurrence or of two with the same step.
 #[inline(always)]
-fn add(sums: &mut [f32], twice_cos: f32, mut before: f32, mut now: f32) {
-    for sum in sums {
-        *sum += now;
-        (before, now) = (now, twice_cos * now - before);
+fn add<const N: usize>(
+    sums: &mut [[f32; N]],
+    twice_cos: f32,
+    mut before: [f32; N],
+    mut now: [f32; N],
+) {
+    for sums in sums {
+        for i in 0..N {
+            sums[i] += now[i];
+            (before[i], now[i]) = (now[i], twice_cos * now[i] - before[i]);
+        }
     }
 }

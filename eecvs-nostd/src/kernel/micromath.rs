@@ -4,8 +4,8 @@
 use micromath::F32Ext;
 
 use super::{
-    Accumulate, Impulse, Kernel, Oscillators, Phase, PhaseScale, dct_turn, dtft_turn, multiples,
-    zeroed, zeroed_parts,
+    Accumulate, Impulse, Kernel, Phase, PhaseScale, dct_turn, dtft_turn, multiples, zeroed,
+    zeroed_pairs,
 };
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::transform::{Dct, Dtft};
@@ -23,13 +23,14 @@ pub struct Micromath;
 impl Accumulate<Dct> for Micromath {
     const KERNEL: Kernel = Kernel::Micromath;
     type Sum = f32;
+    type Work = ();
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        _: &mut Oscillators,
+        (): &mut (),
         sums: &mut [f32],
     ) {
         let Some(sums) = zeroed(sums, grid) else {
@@ -47,21 +48,22 @@ impl Accumulate<Dct> for Micromath {
 impl Accumulate<Dtft> for Micromath {
     const KERNEL: Kernel = Kernel::Micromath;
     type Sum = f32;
+    type Work = ();
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        _: &mut Oscillators,
+        (): &mut (),
         sums: &mut [f32],
     ) {
-        let Some((re, im)) = zeroed_parts(sums, grid) else {
+        let Some(sums) = zeroed_pairs(sums, grid) else {
             return;
         };
         for impulse in impulses.take(CHUNK_EVENTS) {
             let phases = multiples(dtft_turn(scale, impulse));
-            for ((re, im), phase) in re.iter_mut().zip(&mut *im).zip(phases) {
+            for ([re, im], phase) in sums.iter_mut().zip(phases) {
                 let angle = radians(phase);
                 add(re, F32Ext::cos(angle), impulse);
                 add(im, F32Ext::sin(angle), impulse);

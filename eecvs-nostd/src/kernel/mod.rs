@@ -6,7 +6,7 @@
 //!
 //! | kernel | transforms | arithmetic | error per event at most |
 //! |---|---|---|---|
-//! | [`Table`] | DCT, DTFT | Q15 table, lines between its rows | 2^-14 |
+//! | [`Table`] | DCT, DTFT | Q15 tables, lines between their rows | 2^-14 |
 //! | [`Recurrence`] | DCT, DTFT | Chebyshev recurrence, 30 fractional bits | 2^-16 |
 //! | [`Precise`] | DCT, DTFT | an atom at a time, 30 fractional bits | 2^-26 |
 //! | `Micromath` | DCT, DTFT | an atom at a time, f32 | 2^-9 |
@@ -22,19 +22,21 @@ mod haar;
 mod libm;
 #[cfg(feature = "float")]
 mod micromath;
+mod oscillator;
 mod precise;
 mod recurrence;
 mod table;
 
 use crate::fixed_point::Phase;
 use crate::phase::PhaseScale;
-use crate::transform::{Basis, Impulse, Oscillators, Transform, rows};
+use crate::transform::{Basis, Impulse, Transform};
 
 #[cfg(feature = "float")]
 pub use self::libm::Libm;
 #[cfg(feature = "float")]
 pub use self::micromath::Micromath;
 pub use haar::Haar;
+pub use oscillator::Oscillators;
 pub use precise::{Precise, PreciseSum};
 pub use recurrence::Recurrence;
 pub use table::Table;
@@ -83,10 +85,9 @@ impl Kernel {
 
     /// The kernel behind [`Basis::accumulate`], which the encoder takes: bit by bit the same sums.
     #[must_use]
-    pub const fn in_use(transform: Transform, grid: usize) -> Self {
+    pub const fn in_use(transform: Transform) -> Self {
         match transform {
-            Transform::Dct if grid <= rows::GRID => Self::Table,
-            Transform::Dct | Transform::Dtft => Self::Recurrence,
+            Transform::Dct | Transform::Dtft => Self::Table,
             Transform::Dwt => Self::Haar,
         }
     }
@@ -110,14 +111,16 @@ pub trait Accumulate<B: Basis> {
     const KERNEL: Kernel;
     /// A sum of the signed atoms of a chunk.
     type Sum: Copy + Default;
+    /// Memory that it needs beside the sums.
+    type Work: Default;
 
     /// As [`Basis::accumulate`], whose contract this is: at most a chunk of impulses, 2K or more
-    /// `sums`, of which c_0 is left as it was. Only some kernels use `work`.
+    /// `sums`, of which c_0 is left as it was.
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        work: &mut Oscillators,
+        work: &mut Self::Work,
         sums: &mut [Self::Sum],
     );
 }
@@ -145,12 +148,15 @@ fn zeroed<T: Default + Copy>(sums: &mut [T], grid: usize) -> Option<&mut [T]> {
 
 /// The real and the imaginary sums of k = 1 to K - 1, zeroed.
 #[inline(always)]
-fn zeroed_parts<T: Default + Copy>(sums: &mut [T], grid: usize) -> Option<(&mut [T], &mut [T])> {
-    let (re, im) = sums.get_mut(..2 * grid)?.split_at_mut_checked(grid)?;
-    Some((zeroed(re, grid)?, zeroed(im, grid)?))
+fn zeroed_pairs<T: Default + Copy>(sums: &mut [T], grid: usize) -> Option<&mut [[T; 2]]> {
+    let (pairs, _) = sums.as_chunks_mut::<2>();
+    let pairs = pairs.get_mut(1..grid)?;
+    pairs.fill([T::default(); 2]);
+    Some(pairs)
 }
 
 /// The phases of k = 1, 2, ...
+#[cfg(feature = "float")]
 #[inline(always)]
 fn multiples(turn: Phase) -> impl Iterator<Item = Phase> {
     let mut phase = Phase::ZERO;

@@ -5,7 +5,7 @@
 
 use fixed::types::I34F30;
 
-use super::{Accumulate, Impulse, Kernel, Oscillators, PhaseScale, zeroed, zeroed_parts};
+use super::{Accumulate, Impulse, Kernel, PhaseScale, zeroed, zeroed_pairs};
 use crate::atom::{cos, cos_sin};
 use crate::fixed_point::{Atom, CHUNK_EVENTS, Phase};
 use crate::transform::{Dct, Dtft};
@@ -24,13 +24,14 @@ pub struct Precise;
 impl Accumulate<Dct> for Precise {
     const KERNEL: Kernel = Kernel::Precise;
     type Sum = PreciseSum;
+    type Work = ();
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        _: &mut Oscillators,
+        (): &mut (),
         sums: &mut [PreciseSum],
     ) {
         let Some(sums) = zeroed(sums, grid) else {
@@ -48,22 +49,23 @@ impl Accumulate<Dct> for Precise {
 impl Accumulate<Dtft> for Precise {
     const KERNEL: Kernel = Kernel::Precise;
     type Sum = PreciseSum;
+    type Work = ();
 
     #[inline(always)]
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        _: &mut Oscillators,
+        (): &mut (),
         sums: &mut [PreciseSum],
     ) {
-        let Some((re, im)) = zeroed_parts(sums, grid) else {
+        let Some(sums) = zeroed_pairs(sums, grid) else {
             return;
         };
         for impulse in impulses.take(CHUNK_EVENTS) {
             // exp(-i x) = cos(-x) + i sin(-x): the turn is -u.
             let turn = (scale.half_wide(impulse.offset_us) << 1).wrapping_neg();
-            for ((re, im), phase) in re.iter_mut().zip(&mut *im).zip(multiples(turn)) {
+            for ([re, im], phase) in sums.iter_mut().zip(multiples(turn)) {
                 let (cos, sin) = cos_sin(phase);
                 add(re, cos, impulse.is_on);
                 add(im, sin, impulse.is_on);

@@ -2,9 +2,7 @@
 
 use core::f64::consts::PI;
 
-use super::{
-    Basis, Impulse, Oscillators, Rule, Transform, cell_of, cells_log2_of, oscillator, rows,
-};
+use super::{Basis, Impulse, Rule, Transform, cell_of, cells_log2_of, rows, wave};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
@@ -13,8 +11,8 @@ use crate::quantise::Levels;
 
 /// The cosine transform (eq. 6 with phi_k(u) = cos(pi k u)), for dense windows.
 ///
-/// `[Impulse; n] -> [Sum; K]`, |c_k| < n. Measured error against f64, per event: at most 2^-17.4
-/// for K = 1,024 (`tests/fixed_vs_float.rs` enforces 2^-17, and n * 2^-14 for n events); for K up
+/// `[Impulse; n] -> [Sum; K]`, |c_k| < n. Measured error against f64, per event: at most 2^-15.0
+/// for K = 1,024 (`tests/fixed_vs_float.rs` enforces 2^-14.9, and n * 2^-14 for n events); for K up
 /// to 8, where [`rows`] has the atoms, 2^-14.28, which it enforces.
 #[derive(Debug, Clone, Copy)]
 pub struct Dct;
@@ -28,7 +26,6 @@ impl Basis for Dct {
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        work: &mut Oscillators,
         sums: &mut [Sum],
     ) {
         // Half a turn of the cosine is one window.
@@ -36,14 +33,14 @@ impl Basis for Dct {
         if grid <= rows::GRID {
             let cosines = rows::cosines(impulses.take(CHUNK_EVENTS), turn);
             for (sum, cosine) in sums.iter_mut().take(grid).skip(1).zip(cosines) {
-                *sum = rows::sum(cosine);
+                *sum = Sum::from_bits(cosine);
             }
             return;
         }
         let Some(sums) = sums.get_mut(..grid) else {
             return;
         };
-        oscillator::cosines(&impulses, turn, &mut work.cos, sums);
+        wave::cosines(impulses, turn, sums);
     }
 
     #[inline(always)]

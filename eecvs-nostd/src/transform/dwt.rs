@@ -2,7 +2,7 @@
 
 use core::cell::Cell;
 
-use super::{Basis, Impulse, Oscillators, Rule, Transform};
+use super::{Basis, Impulse, Rule, Transform};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
@@ -37,7 +37,6 @@ impl Basis for Dwt {
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        _: &mut Oscillators,
         sums: &mut [Sum],
     ) {
         debug_assert!(grid.is_power_of_two());
@@ -238,13 +237,7 @@ mod tests {
             .collect();
         let mut sums = [Sum::ZERO; 16];
         let scale = PhaseScale::new(8);
-        Dwt::accumulate(
-            impulses.iter().copied(),
-            scale,
-            8,
-            &mut Oscillators::new(),
-            &mut sums,
-        );
+        Dwt::accumulate(impulses.iter().copied(), scale, 8, &mut sums);
         sums[0] = Sum::from_num(bins.iter().sum::<i32>());
         core::array::from_fn(|k| sums[k].to_num())
     }
@@ -304,13 +297,7 @@ mod tests {
             is_on: sign > 0,
         };
         let scale = PhaseScale::new(grid as u32);
-        Dwt::accumulate(
-            [impulse].into_iter(),
-            scale,
-            grid,
-            &mut Oscillators::new(),
-            &mut sums,
-        );
+        Dwt::accumulate([impulse].into_iter(), scale, grid, &mut sums);
         sums[0] = Sum::from_num(sign);
         let mut order: Vec<usize> = (0..grid).collect();
         order.sort_by_key(|k| std::cmp::Reverse(magnitude(sums[*k].to_num(), *k)));

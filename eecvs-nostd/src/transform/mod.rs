@@ -6,15 +6,14 @@
 pub mod dct;
 pub mod dtft;
 pub mod dwt;
-pub mod oscillator;
 pub mod rows;
+pub mod wave;
 
-use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
+use crate::fixed_point::{Coefficient, Sum};
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
 use crate::prune::Kept;
 use crate::quantise::{Levels, Quantiser};
-use oscillator::Oscillator;
 
 pub use dct::Dct;
 pub use dtft::Dtft;
@@ -118,7 +117,7 @@ pub struct Impulse {
 
 /// What a transform does in each stage.
 ///
-/// `sums` hold K values for a real transform; a complex one has K real parts, then K imaginary.
+/// `sums` hold K values for a real transform; a complex one has K pairs, real and imaginary part.
 pub trait Basis {
     /// The transform's name.
     const TRANSFORM: Transform;
@@ -126,13 +125,12 @@ pub trait Basis {
     const RULE: Rule;
 
     /// Accumulate: c_k = sum_i p_i phi_k(u_i) (eq. 6) for k in 1..`grid`, over at most
-    /// [`CHUNK_EVENTS`] impulses; more are left out. `sums`, 2K or longer, is overwritten, but for
+    /// [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) impulses; more are left out. `sums`, 2K or longer, is overwritten, but for
     /// c_0, the sum of the signs, which the caller knows.
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
         grid: usize,
-        work: &mut Oscillators,
         sums: &mut [Sum],
     );
 
@@ -186,34 +184,4 @@ fn cells_log2_of(half_turns: usize, quantiser: Quantiser) -> u32 {
 fn cell_of(scale: PhaseScale, offset_us: u32, cells_log2: u32) -> u32 {
     // u / 2 of a turn is below 2^31.
     scale.half(offset_us).to_bits() >> (31_u32.wrapping_sub(cells_log2) & 31)
-}
-
-/// Memory for the oscillators of a chunk: cosines, then sines.
-#[derive(Debug)]
-pub struct Oscillators {
-    pub(crate) cos: [Oscillator; CHUNK_EVENTS],
-    sin: [Oscillator; CHUNK_EVENTS],
-}
-
-impl Oscillators {
-    /// Zeroed memory.
-    #[must_use]
-    pub const fn new() -> Self {
-        Self {
-            cos: [Oscillator::AT_REST; CHUNK_EVENTS],
-            sin: [Oscillator::AT_REST; CHUNK_EVENTS],
-        }
-    }
-
-    #[cfg(test)]
-    pub(crate) fn are_zero(&self) -> bool {
-        let mut all = self.cos.iter().chain(&self.sin);
-        all.all(Oscillator::is_zero)
-    }
-}
-
-impl Default for Oscillators {
-    fn default() -> Self {
-        Self::new()
-    }
 }

@@ -12,7 +12,7 @@
 use core::f64::consts::FRAC_PI_2;
 
 use crate::atom::cos_first_quarter;
-use crate::fixed_point::{CHUNK_EVENTS, Phase, Sum, dot_add, negate_halves};
+use crate::fixed_point::{FRACTION_BITS, Phase, dot_add, negate_halves};
 use crate::group::Impulses;
 use crate::phase::PhaseScale;
 use crate::transform::Impulse;
@@ -44,11 +44,6 @@ pub(crate) const fn lines() -> &'static Lines {
     &LINES
 }
 
-/// Fractional bits of a sum: 64 atoms of a chunk stay below 2^31.
-const FRACTION_BITS: u32 = 25;
-const _: () = assert!(CHUNK_EVENTS << FRACTION_BITS <= 1 << 31);
-/// Fractional bits beyond those of [`Sum`].
-pub const MORE_BITS: u32 = FRACTION_BITS - 23;
 /// Bits of the distance from a row, whose weight is 1 for a whole row.
 pub(crate) const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
 /// Where the row begins in 30 bits of u / 2, and the distance below it.
@@ -361,13 +356,6 @@ unsafe extern "C" fn cosines_dsp(slots: *const Slot, len: usize, index: u32, wor
 const _: () = assert!(size_of::<Slot>() == 8 && ATOMS == 7);
 #[cfg(eecvs_dsp)]
 const _: () = assert!(Cosines::SUMS_AT == 12);
-
-/// The bits of one of [`cosines`] as a number; rounds down.
-#[inline(always)]
-#[must_use]
-pub const fn sum(bits: i32) -> Sum {
-    Sum::from_bits(bits >> MORE_BITS)
-}
 
 /// The table in constant evaluation: the same bits on every machine.
 const fn table() -> Lines {

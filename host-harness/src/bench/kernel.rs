@@ -7,7 +7,7 @@ use eecvs_nostd::kernel::{
     Accumulate, Haar, Kernel, Libm, Micromath, Precise, PreciseSum, Recurrence, Table,
 };
 use eecvs_nostd::phase::PhaseScale;
-use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, Impulse, Oscillators, Transform};
+use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, Impulse, Transform};
 use num_complex::Complex64;
 
 use super::Contender;
@@ -41,7 +41,7 @@ impl Number for f32 {
 /// A kernel with its memory.
 struct Core<A: Accumulate<B>, B: Basis> {
     grid: usize,
-    work: Box<Oscillators>,
+    work: Box<A::Work>,
     /// Of a chunk.
     sums: Vec<A::Sum>,
     /// Of a pixel of several chunks.
@@ -78,7 +78,7 @@ where
 {
     Box::new(Core::<A, B> {
         grid,
-        work: Box::new(Oscillators::new()),
+        work: Box::default(),
         sums: vec![A::Sum::default(); 2 * grid],
         totals: vec![0.0; 2 * grid],
     })
@@ -144,7 +144,7 @@ where
         let c_0: f64 = pixel.oracles.iter().map(|impulse| impulse.p).sum();
         let rest = (1..self.grid).map(|k| match B::TRANSFORM {
             Transform::Dct => Complex64::from(at(k)),
-            Transform::Dtft => Complex64::new(at(k), at(self.grid + k)),
+            Transform::Dtft => Complex64::new(at(2 * k), at(2 * k + 1)),
             Transform::Dwt => Complex64::from(height(k) * at(k)),
         });
         Some(std::iter::once(Complex64::from(c_0)).chain(rest).collect())

@@ -350,8 +350,8 @@ fn saved(host: &[Row], origin: Origin) -> Result<Vec<Row>> {
         if count.origin != origin.name() {
             continue;
         }
-        let grid = usize::from(transform.grid_size(count.m, None));
-        let kernel = Kernel::in_use(transform, grid).name();
+
+        let kernel = Kernel::in_use(transform).name();
         let same = host.iter().find(|row| {
             (row.kernel, row.transform, row.m, row.window)
                 == (kernel, transform.name(), count.m, count.cut.as_str())

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
-use eecvs_nostd::transform::{GRID_MAX, Oscillators};
+use eecvs_nostd::transform::GRID_MAX;
 use eecvs_nostd::window::Head;
 use eecvs_nostd::{
     Config, Encoder, Scratch, Sensor, Slot, Window, WindowBuffers, WindowConfig, WindowEncoder,
@@ -14,7 +14,6 @@ use zerocopy::{FromBytes, IntoBytes};
 #[derive(Debug)]
 pub struct HostStorage {
     windows: Vec<WindowMemory>,
-    oscillators: Box<Oscillators>,
     sums: Vec<Sum>,
     totals: Vec<WideSum>,
     magnitudes: Vec<u32>,
@@ -67,7 +66,6 @@ impl HostStorage {
             windows: (0..windows)
                 .map(|_| WindowMemory::new(sensor, window_events))
                 .collect(),
-            oscillators: Box::new(Oscillators::new()),
             sums: vec![Sum::ZERO; numbers],
             totals: vec![WideSum::ZERO; numbers],
             magnitudes: vec![0; numbers],
@@ -99,7 +97,6 @@ impl HostStorage {
              sensor of 1 to 2048 pixels a side",
         )?;
         let scratch = Scratch {
-            oscillators: &mut self.oscillators,
             sums: &mut self.sums,
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,

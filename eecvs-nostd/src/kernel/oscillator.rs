@@ -5,21 +5,21 @@
 //! Error of an atom for any a and k < 1,024: 32^2 / 2 roundings of 2^-29 at the most (2^-20); 32
 //! times the seeds' error (2^-22: next to whole and half turns, where it counts k^2 times, the sine
 //! that the polynomial's error comes with vanishes); 2^-18 of the scale below; the sum's floor of
-//! 2^-23; and what k times the phase's error makes ([`crate::phase`]). Measured with all of it: see
-//! [`super::Dct`] and [`super::Dtft`].
+//! 2^-25; and what k times the phase's error makes ([`crate::phase`]). Measured with all of it: see
+//! [`super::Recurrence`].
 
 use crate::atom::{cos, cos_sin};
-use crate::fixed_point::{Atom, Phase, Sum, mul_high_add, mul_high_round};
+use crate::fixed_point::{Atom, CHUNK_EVENTS, Phase, Sum, mul_high_add, mul_high_round};
 use crate::transform::Impulse;
 
 /// Coefficients from one start of the recurrence to the next.
 pub const RUN: usize = 32;
 
-/// 2^25 (1 - 2^-18): brings 30 fractional bits to 23, and every atom strictly below 1.
+/// 2^27 (1 - 2^-18): brings 30 fractional bits to 25, and every atom strictly below 1.
 ///
 /// The recurrence's own error is below 2^-18, so that |c_k| < n holds for n events, which is what
 /// lets the levels of a pixel of n events do without a bit for n itself.
-const WEIGHT: i32 = (1 << 25) - (1 << 7);
+const WEIGHT: i32 = (1 << 27) - (1 << 9);
 
 /// An event's recurrence.
 #[derive(Debug, Clone, Copy)]
@@ -42,11 +42,6 @@ impl Oscillator {
         before: 0,
         now: 0,
     };
-
-    #[cfg(test)]
-    pub(crate) fn is_zero(&self) -> bool {
-        (self.cos, self.weight, self.before, self.now) == (0, 0, 0, 0)
-    }
 
     /// At k = 1, for a step of `cos`, from x_0 and x_1.
     #[inline(always)]
@@ -124,6 +119,25 @@ impl Oscillator {
     }
 }
 
+/// Memory for the oscillators of a chunk, and for sums of a run.
+#[derive(Debug)]
+pub struct Oscillators {
+    cos: [Oscillator; CHUNK_EVENTS],
+    sin: [Oscillator; CHUNK_EVENTS],
+    /// Real and imaginary parts.
+    runs: [[Sum; RUN]; 2],
+}
+
+impl Default for Oscillators {
+    fn default() -> Self {
+        Self {
+            cos: [Oscillator::AT_REST; CHUNK_EVENTS],
+            sin: [Oscillator::AT_REST; CHUNK_EVENTS],
+            runs: [[Sum::ZERO; RUN]; 2],
+        }
+    }
+}
+
 /// Sums of N neighbouring coefficients, kept in registers over all oscillators.
 #[inline(always)]
 fn block<const N: usize>(
@@ -154,13 +168,6 @@ fn run(oscillators: &mut [Oscillator], sums: &mut [Sum]) {
     for sums in rest.chunks_mut(2) {
         block(oscillators, sums, Oscillator::add::<2>);
     }
-}
-
-/// [`run`] of the first `len` oscillators and the sums of `k` up to `end`, which are there.
-#[inline(always)]
-fn run_part(work: &mut [Oscillator], len: usize, sums: &mut [Sum], (k, end): (usize, usize)) {
-    let oscillators = work.get_mut(..len).unwrap_or_default();
-    run(oscillators, sums.get_mut(k..end).unwrap_or_default());
 }
 
 /// k times a phase.
@@ -196,9 +203,10 @@ fn fill(
 pub fn cosines(
     impulses: &(impl Iterator<Item = Impulse> + Clone),
     turn: impl Fn(Impulse) -> Phase + Copy,
-    work: &mut [Oscillator],
+    work: &mut Oscillators,
     sums: &mut [Sum],
 ) {
+    let work = &mut work.cos;
     let first = |impulse: Impulse| {
         let cos = cos(turn(impulse));
         Oscillator::start(impulse, cos, Atom::ONE, cos)
@@ -226,14 +234,15 @@ fn first_cosines(
     fill(impulses, work, start)
 }
 
-/// As [`cosines`], and sum p sin(k a).
+/// As [`cosines`], with sum p sin(k a) after every cosine.
 #[inline(always)]
 pub fn cosines_and_sines(
     impulses: &(impl Iterator<Item = Impulse> + Clone),
     turn: impl Fn(Impulse) -> Phase + Copy,
-    (cos_work, sin_work): (&mut [Oscillator], &mut [Oscillator]),
-    (cos_sums, sin_sums): (&mut [Sum], &mut [Sum]),
+    work: &mut Oscillators,
+    sums: &mut [[Sum; 2]],
 ) {
+    let grid = sums.len();
     let first = |impulse: Impulse| {
         let (cos, sin) = cos_sin(turn(impulse));
         (
@@ -241,11 +250,8 @@ pub fn cosines_and_sines(
             Oscillator::start(impulse, cos, Atom::ZERO, sin),
         )
     };
-    let grid = cos_sums.len();
-    let end = grid.min(RUN);
-    let len = fill_pairs(impulses.clone(), first, cos_work, sin_work);
-    run_part(cos_work, len, cos_sums, (1, end));
-    run_part(sin_work, len, sin_sums, (1, end));
+    let len = fill_pairs(impulses.clone(), first, &mut work.cos, &mut work.sin);
+    run_pairs(work, len, sums, (1, grid.min(RUN)));
     for (k, end) in later_runs(grid) {
         let start = |impulse: Impulse| {
             let turn = turn(impulse);
@@ -256,9 +262,23 @@ pub fn cosines_and_sines(
                 Oscillator::start(impulse, step, x[0].1, x[1].1),
             )
         };
-        let len = fill_pairs(impulses.clone(), start, cos_work, sin_work);
-        run_part(cos_work, len, cos_sums, (k, end));
-        run_part(sin_work, len, sin_sums, (k, end));
+        let len = fill_pairs(impulses.clone(), start, &mut work.cos, &mut work.sin);
+        run_pairs(work, len, sums, (k, end));
+    }
+}
+
+/// [`run`] of the first `len` oscillators to the sums of `k` up to `end`, which are there.
+#[inline(always)]
+fn run_pairs(work: &mut Oscillators, len: usize, sums: &mut [[Sum; 2]], (k, end): (usize, usize)) {
+    let Oscillators { cos, sin, runs } = work;
+    let sums = sums.get_mut(k..end).unwrap_or_default();
+    for (oscillators, parts) in [cos, sin].into_iter().zip(&mut *runs) {
+        let parts = parts.get_mut(..sums.len()).unwrap_or_default();
+        run(oscillators.get_mut(..len).unwrap_or_default(), parts);
+    }
+    let [re, im] = runs;
+    for ((sum, re), im) in sums.iter_mut().zip(re).zip(im) {
+        *sum = [*re, *im];
     }
 }
 
