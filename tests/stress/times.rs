@@ -2,7 +2,7 @@
 
 use eecvs_nostd::evt2::{Evt2Decoder, Evt2Encoder, Word};
 use eecvs_nostd::transform::{M_MAX, Transform};
-use eecvs_nostd::{Config, Event, Polarity, Sensor};
+use eecvs_nostd::{Config, Event, Polarity, Push, Sensor};
 use host_harness::encode::HostStorage;
 use host_harness::reconstruct::events::EventDecoder;
 use host_harness::reconstruct::{DecodedWindow, pixels};
@@ -165,6 +165,39 @@ fn days_of_evt2_are_followed() {
             assert_eq!(decoder.decode(word), Word::Event(event), "{base_us} {i}");
         }
     }
+}
+
+/// Words whose time is beyond 64 bits begin again at 0: their events come too late, and are counted.
+#[test]
+fn words_beyond_the_last_time_are_late() {
+    let mut storage = HostStorage::new(SENSOR, 10);
+    let config = plain_config(SENSOR, Transform::Dct, 8);
+    let mut encoder = storage.encoder(config).expect("a valid configuration");
+    let mut decoder = Evt2Decoder::new(u64::MAX - 100);
+    // 64 us after the base, an event; 128 us after it, another.
+    let words = [0x8000_0001_u32, 0x1000_0000, 0x8000_0002, 0x1000_0000].map(u32::to_le_bytes);
+    let taken = encoder.window().push_words(&mut decoder, &words);
+    assert_eq!((taken.words, taken.ignored), (4, 0));
+    assert_eq!(
+        encoder.push(Event {
+            t_us: u64::MAX,
+            x: 0,
+            y: 0,
+            polarity: Polarity::Off,
+        }),
+        Push::Stored
+    );
+    encoder.flush();
+    let mut out = vec![0; FRAME_BYTES];
+    let frame = encoder
+        .next_frame(&mut out)
+        .expect("room")
+        .expect("a frame");
+    let header = frame.header;
+    assert_eq!(
+        (header.t0_us, header.events, header.late),
+        (u64::MAX - 36, 2, 1)
+    );
 }
 
 /// Decoded events of a pixel each are where they were, to half a cell, and inside of 64 bits.
