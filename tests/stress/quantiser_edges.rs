@@ -120,6 +120,7 @@ fn the_widest_levels_come_back() {
             let events = impulses(std::iter::repeat_n(offset_us, n), p);
             for (transform, m) in [
                 (Transform::Dct, 4),
+                (Transform::Dct, 8),
                 (Transform::Dct, 10),
                 (Transform::Dtft, 4),
                 (Transform::Dwt, 4),

@@ -5,6 +5,7 @@
 //! | a level of more than 32 bits (`WideSum::level`) | from 2^31 steps on; counted in `saturated` |
 //! | a level of a pixel of up to 64 events (`Sum::level`) | no: 32 bits, shifted down by 8 or more |
 //! | a sum of a chunk | no: 64 atoms, none above 1, in a range of 256 |
+//! | a level wider than its field (`put_levels`) | no: |c_k| < n, see `quantiser_edges` |
 //! | a sum of a window, its squares and magnitudes | no: fewer than 2^24 events |
 //! | `late`, `filtered`, `dropped` | at 2^32 - 1, and there they stay |
 //! | the end of a window beyond 2^64 us | no: what closes it is an event after it |
@@ -40,20 +41,22 @@ fn at(t_us: u64, on: bool) -> Event {
 #[test]
 fn levels_beyond_32_bits_are_cut_and_counted() {
     // All at u = 0, where every cosine is 1 (less 2^-14 at the most) and every sine 0.
-    for (transform, step_log2, count, saturated) in [
-        (Transform::Dct, -15, 65_536, 0),
-        (Transform::Dtft, -15, 65_536, 0),
-        (Transform::Dct, -15, 65_600, 3),
-        (Transform::Dtft, -15, 65_600, 3),
-        (Transform::Dct, -14, 65_600, 0),
-        (Transform::Dct, -14, 131_072, 0),
-        (Transform::Dct, -14, 131_200, 3),
-        (Transform::Dwt, -15, 131_200, 0),
+    for (transform, m, step_log2, count, saturated) in [
+        (Transform::Dct, 4, -15, 65_536, 0),
+        (Transform::Dtft, 4, -15, 65_536, 0),
+        (Transform::Dct, 4, -15, 65_600, 3),
+        (Transform::Dct, 8, -15, 65_600, 7),
+        (Transform::Dct, 64, -15, 65_600, 63),
+        (Transform::Dtft, 4, -15, 65_600, 3),
+        (Transform::Dct, 4, -14, 65_600, 0),
+        (Transform::Dct, 8, -14, 131_072, 0),
+        (Transform::Dct, 4, -14, 131_200, 3),
+        (Transform::Dwt, 4, -15, 131_200, 0),
     ] {
         for on in [true, false] {
-            let case = format!("{transform:?} {step_log2} {count} {on}");
-            let mut config = plain_config(SENSOR, transform, 4);
-            config.grid = Some(4);
+            let case = format!("{transform:?} M {m} {step_log2} {count} {on}");
+            let mut config = plain_config(SENSOR, transform, m);
+            config.grid = Some(u16::from(m));
             config.quantiser = Quantiser::new(step_log2).expect("in range");
             let frames = encode(config, &vec![at(0, on); count], count, 4096);
             let frame = parse(&frames[0]);
