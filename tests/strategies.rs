@@ -1,5 +1,7 @@
 //! Proptest generators and small helpers shared by the integration tests.
 
+pub mod one_pixel;
+
 use eecvs_nostd::{
     Config, Event, Frame, Polarity, Push, Quantiser, Scan, Sensor, Thresholds, Transform,
     WindowConfig, scan,

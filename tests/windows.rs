@@ -447,38 +447,3 @@ impl Frames {
         }
     }
 }
-
-/// Levels beyond 32 bits are cut, and told.
-#[test]
-fn levels_that_saturate_are_counted() {
-    let sensor = Sensor {
-        width: 1,
-        height: 1,
-    };
-    // All at u = 0, where every cosine is 1 (less 2^-18) and every sine 0.
-    let count = 65_600;
-    let events = vec![at(0, 0); count];
-    for (transform, step_log2, saturated) in [
-        (Transform::Dct, -15, 3),
-        (Transform::Dtft, -15, 3),
-        (Transform::Dct, -14, 0),
-        (Transform::Dwt, -15, 0),
-    ] {
-        let mut config = plain_config(sensor, transform, 4);
-        config.grid = Some(4);
-        config.quantiser = Quantiser::new(step_log2).expect("in range");
-        let frames = encode(config, &events, count, 4096);
-        let frame = parse(&frames[0]);
-        assert_eq!(
-            frame.header.saturated, saturated,
-            "{transform:?} {step_log2}"
-        );
-        let pixel = pixels(&frame).expect("the encoder's own payload")[0].clone();
-        let expected = if saturated > 0 { 65_536.0 } else { 65_600.0 };
-        let c_1 = pixel.coefficients[1].1;
-        assert!(
-            (c_1 - expected).abs() <= 0.5,
-            "{transform:?} {step_log2}: {c_1}"
-        );
-    }
-}

@@ -432,9 +432,11 @@ impl<'b> Window<'b> {
         else {
             return 0;
         };
-        let window_us = i64::from(self.config.window_us);
+        // The last windows end with the last microsecond there is.
+        let window_us =
+            u64::from(self.config.window_us).min((u64::MAX - start_us).saturating_add(1));
         let since_start = time_us.wrapping_sub(start_us) as i64;
-        let to_end = window_us.saturating_sub(since_start);
+        let to_end = (window_us as i64).saturating_sub(since_start);
         if since_start <= -i64::from(SPAN_US) || to_end <= 0 {
             return 0;
         }

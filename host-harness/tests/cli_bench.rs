@@ -2,9 +2,10 @@
 
 mod cli_support;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use cli_support::{Folder, count, exists, number, text};
+use eecvs_nostd::Kernel;
 use serde_json::Value;
 
 const KEYS: [&str; 12] = [
@@ -133,6 +134,70 @@ fn every_kernel_is_measured_and_the_front_is_one() {
         assert!(svg.contains(name), "{name}");
     }
     assert_eq!(&folder.bytes("charts/kernels.png")[1..4], b"PNG");
+}
+
+#[test]
+fn errors_have_three_curves_of_every_kernel() {
+    let folder = Folder::new();
+    let command = "bench --errors --quick --json -o charts";
+    let run = folder.eecvs(command).ok();
+    let rows = run.array();
+    let keys = [
+        "axis",
+        "bound",
+        "kernel",
+        "max_error_per_event",
+        "rms_error_per_event",
+        "transform",
+        "value",
+    ];
+    let mut kernels = BTreeSet::new();
+    let mut values: BTreeMap<_, Vec<u64>> = BTreeMap::new();
+    for row in &rows {
+        let found: Vec<&String> = row.as_object().expect("an object").keys().collect();
+        assert_eq!(found, keys);
+        let [max, rms, bound] =
+            ["max_error_per_event", "rms_error_per_event", "bound"].map(|key| number(row, key));
+        assert!(0.0 <= rms && rms <= max && max <= bound, "{row}");
+        let curve = (text(row, "transform"), text(row, "kernel"));
+        kernels.insert(curve.1);
+        let values = values.entry((text(row, "axis"), curve)).or_default();
+        values.push(count(row, "value"));
+    }
+    // Nothing of the core is left out, whatever it is called.
+    let every: BTreeSet<&str> = Kernel::ALL.iter().map(|kernel| kernel.name()).collect();
+    assert_eq!(kernels, every);
+    let curves: BTreeSet<_> = values.keys().map(|(_, curve)| *curve).collect();
+    for axis in ["k", "n", "T"] {
+        for curve in &curves {
+            let values = &values[&(axis, *curve)];
+            assert!(values.windows(2).all(|pair| pair[0] < pair[1]), "{curve:?}");
+            let last = match axis {
+                "k" => 1023,
+                "n" => 4096,
+                _ => u32::MAX.into(),
+            };
+            assert_eq!((values[0], values.last()), (1, Some(&last)), "{curve:?}");
+        }
+    }
+    // The same seed, the same numbers.
+    assert_eq!(folder.eecvs(command).ok().stdout, run.stdout);
+
+    let svg = String::from_utf8(folder.bytes("charts/errors.svg")).expect("text");
+    for part in [
+        "table, 2^",
+        "haar: 0 everywhere",
+        "DTFT: events in one pixel",
+    ] {
+        assert!(svg.contains(part), "{part}");
+    }
+    assert_eq!(&folder.bytes("charts/errors.png")[1..4], b"PNG");
+    let table = folder.eecvs("bench --errors --quick -o charts").ok().stdout;
+    for part in ["precise", "most over T", "charts/errors.svg"] {
+        assert!(table.contains(part), "{table}");
+    }
+    let both = folder.eecvs("bench --errors --scaling");
+    assert_eq!(both.status, Some(2), "{both}");
 }
 
 #[test]

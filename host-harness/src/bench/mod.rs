@@ -9,6 +9,7 @@
 //! coefficients, on one thread.
 
 pub mod cut;
+pub mod errors;
 pub mod front;
 pub mod kernel;
 pub mod mcu;

@@ -47,6 +47,27 @@ pub struct Pixel<'w> {
 }
 
 impl Window {
+    /// A window of some pixels' events, whose offsets are below `duration_us`.
+    #[must_use]
+    pub fn new(duration_us: u32, pixels: impl IntoIterator<Item = Vec<oracle::Impulse>>) -> Self {
+        let (mut oracles, mut ends) = (Vec::new(), Vec::new());
+        for pixel in pixels {
+            oracles.extend(pixel);
+            ends.push(oracles.len());
+        }
+        let impulses = oracles.iter().map(|impulse| Impulse {
+            offset_us: impulse.offset_us,
+            is_on: impulse.p > 0.0,
+        });
+        Self {
+            duration_us,
+            scale: PhaseScale::new(duration_us),
+            impulses: impulses.collect(),
+            oracles,
+            ends,
+        }
+    }
+
     /// Its pixels with events.
     pub fn pixels(&self) -> impl Iterator<Item = Pixel<'_>> {
         let mut start = 0;
@@ -73,22 +94,8 @@ impl Windows {
         let windows: Vec<Window> = windows(events, window_us, HOST_CAPACITY)
             .iter()
             .map(|window| {
-                let (mut oracles, mut ends) = (Vec::new(), Vec::new());
-                for pixel in reference::impulses(window).into_values() {
-                    oracles.extend(pixel);
-                    ends.push(oracles.len());
-                }
-                let impulses = oracles.iter().map(|impulse| Impulse {
-                    offset_us: impulse.offset_us,
-                    is_on: impulse.p > 0.0,
-                });
-                Window {
-                    duration_us: window.duration_us,
-                    scale: PhaseScale::new(window.duration_us),
-                    impulses: impulses.collect(),
-                    oracles,
-                    ends,
-                }
+                let pixels = reference::impulses(window).into_values();
+                Window::new(window.duration_us, pixels)
             })
             .collect();
         let events = windows.iter().map(|window| window.impulses.len()).sum();

@@ -1,4 +1,4 @@
-//! `eecvs bench`: run time against error of every kernel, and how encoding scales.
+//! `eecvs bench`: run time against error of every kernel, its error alone, and how encoding scales.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,9 +8,9 @@ use clap::Args;
 
 use super::output::{print, print_json};
 use crate::bench::cut::{self, Cut};
-use crate::bench::{Effort, M, Origin, Row, measure, over_windows, scaling, steps};
+use crate::bench::{Effort, M, Origin, Row, errors, measure, over_windows, scaling, steps};
 use crate::progress::Progress;
-use crate::report::kernel_chart;
+use crate::report::{error_chart, kernel_chart};
 
 /// Where recordings are looked for unless a folder is given.
 const RECORDINGS: &str = "../shared/data";
@@ -40,6 +40,11 @@ pub struct Bench {
     #[arg(long)]
     scaling: bool,
 
+    /// Instead: largest error per event of every kernel over k = 1 to 1,023, over 1 to 65,535 events
+    /// in a pixel, and over windows from 1 us to over an hour; fails beyond a documented bound
+    #[arg(long, conflicts_with_all = ["scaling", "recordings"])]
+    errors: bool,
+
     /// Print one JSON array of rows instead of the table
     #[arg(long)]
     json: bool,
@@ -57,6 +62,9 @@ impl Bench {
         }
         fs::create_dir_all(&self.output)
             .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
+        if self.errors {
+            return self.errors();
+        }
         let (cuts, origin) = self.cuts()?;
         let effort = if self.quick {
             Effort::QUICK
@@ -111,10 +119,35 @@ impl Bench {
         );
         let files = ["kernels.svg", "kernels.png"].map(|file| self.output.join(file));
         let [svg, png] = &files;
-        fs::write(svg, kernel_chart::svg(&title, &host)?)
-            .with_context(|| format!("{}: cannot be written", svg.display()))?;
+        write(svg, &kernel_chart::svg(&title, &host)?)?;
         kernel_chart::picture(&title, &host)?.save(png)?;
         Ok(files)
+    }
+
+    /// Draws and prints the curves before it says which of them are beyond their bound.
+    fn errors(&self) -> Result<()> {
+        let effort = if self.quick {
+            errors::Effort::QUICK
+        } else {
+            errors::Effort::FULL
+        };
+        let progress = Progress::new(&format!("of {} steps", errors::steps()));
+        let rows = errors::measure(effort, &mut || progress.advance(1));
+        drop(progress);
+        let files = ["errors.svg", "errors.png"].map(|file| self.output.join(file));
+        let [svg, png] = &files;
+        write(svg, &error_chart::svg(&rows)?)?;
+        error_chart::picture(&rows)?.save(png)?;
+        if self.json {
+            print_json(&rows)?;
+        } else {
+            print(&format!(
+                "{}\nchart: {}\n",
+                error_table(&rows),
+                files.map(|file| file.display().to_string()).join(", ")
+            ))?;
+        }
+        errors::check(&rows)
     }
 
     fn scale(&self) -> Result<()> {
@@ -128,6 +161,51 @@ impl Bench {
             print(&scaling_table(&rows))
         }
     }
+}
+
+fn write(path: &Path, text: &str) -> Result<()> {
+    fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))
+}
+
+/// The largest of each curve and where it is, as powers of two.
+fn error_table(rows: &[errors::Row]) -> String {
+    let power = |error: f64| {
+        if error > 0.0 {
+            format!("2^{:.2}", error.log2())
+        } else {
+            "0".to_owned()
+        }
+    };
+    let mut text = format!("{:<6}{:<12}{:>9}", "", "kernel", "bound");
+    for axis in errors::AXES {
+        text += &format!("{:>26}", format!("most over {axis}"));
+    }
+    text.push('\n');
+    let curves =
+        |a: &errors::Row, b: &errors::Row| (a.transform, a.kernel) == (b.transform, b.kernel);
+    let mut sorted: Vec<errors::Row> = rows.to_vec();
+    sorted.sort_by_key(|row| (row.transform, row.kernel));
+    for curves in sorted.chunk_by(curves) {
+        let Some(first) = curves.first() else {
+            continue;
+        };
+        text += &format!(
+            "{:<6}{:<12}{:>9}",
+            first.transform,
+            first.kernel,
+            power(first.bound)
+        );
+        for axis in errors::AXES {
+            let here = curves.iter().filter(|row| row.axis == axis);
+            let most = here.max_by(|a, b| a.max_error_per_event.total_cmp(&b.max_error_per_event));
+            let cell = most.map_or_else(String::new, |most| {
+                format!("{} at {}", power(most.max_error_per_event), most.value)
+            });
+            text += &format!("{cell:>26}");
+        }
+        text.push('\n');
+    }
+    text
 }
 
 fn names(cuts: &[Cut]) -> String {

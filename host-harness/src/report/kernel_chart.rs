@@ -15,12 +15,12 @@ use crate::bench::Row;
 const WIDTH: u32 = 1200;
 const HEIGHT: u32 = 520;
 /// Pixels of the PNG for one of the SVG.
-const PNG_SCALE: i32 = 2;
+pub(super) const PNG_SCALE: i32 = 2;
 
-const INK: RGBColor = RGBColor(50, 50, 50);
-const GRID: RGBColor = RGBColor(228, 228, 228);
-const FRONT: RGBColor = RGBColor(140, 140, 140);
-const COLOURS: [(&str, RGBColor); 9] = [
+pub(super) const INK: RGBColor = RGBColor(50, 50, 50);
+pub(super) const GRID: RGBColor = RGBColor(228, 228, 228);
+pub(super) const FRONT: RGBColor = RGBColor(140, 140, 140);
+pub(super) const COLOURS: [(&str, RGBColor); 9] = [
     ("table", RGBColor(0, 114, 178)),
     ("recurrence", RGBColor(213, 94, 0)),
     ("precise", RGBColor(0, 158, 115)),
@@ -126,17 +126,17 @@ impl Axes {
     }
 }
 
-fn colour(kernel: &str) -> RGBColor {
+pub(super) fn colour(kernel: &str) -> RGBColor {
     let known = COLOURS.iter().find(|(name, _)| *name == kernel);
     known.map_or(INK, |(_, colour)| *colour)
 }
 
-fn text(size: i32, scale: i32) -> TextStyle<'static> {
+pub(super) fn text(size: i32, scale: i32) -> TextStyle<'static> {
     ("sans-serif", size * scale).into_font().color(&INK)
 }
 
 /// A power of ten, or nothing.
-fn power(value: f64) -> String {
+pub(super) fn power(value: f64) -> String {
     let log10 = value.log10();
     let whole = log10.round();
     if (log10 - whole).abs() > 1e-6 {
@@ -149,7 +149,8 @@ fn power(value: f64) -> String {
     }
 }
 
-type Drawn<B> = std::result::Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
+pub(super) type Drawn<B> =
+    std::result::Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
 
 fn draw<B: DrawingBackend>(
     area: &DrawingArea<B, Shift>,
@@ -164,26 +165,39 @@ where
     area.fill(&WHITE)?;
     let (head, panels) = area.split_vertically(62 * scale);
     head.draw_text(title, &text(14, scale), (14 * scale, 10 * scale))?;
-    let mut x = 20 * scale;
-    for (name, colour) in COLOURS {
-        if !rows.iter().any(|row| row.kernel == name) {
-            continue;
-        }
-        let y = 46 * scale;
-        if name == "voxel-bilinear" {
-            head.draw(&TriangleMarker::new((x, y), 5 * scale, colour.filled()))?;
-        } else {
-            head.draw(&Circle::new((x, y), 5 * scale, colour.filled()))?;
-        }
-        let style = text(12, scale);
-        let at = (x + 10 * scale, y - 6 * scale);
-        head.draw_text(name, &style, at)?;
-        x += (30 + 8 * name.len() as i32) * scale;
-    }
+    let names = COLOURS.iter().map(|(name, _)| *name);
+    let here = names.filter(|name| rows.iter().any(|row| row.kernel == *name));
+    let entries: Vec<_> = here.map(|name| (name, name.to_owned())).collect();
+    legend(&head, &entries, 46, (12, scale))?;
     for (panel, (transform, name)) in panels.split_evenly((1, 3)).iter().zip(PANELS) {
         draw_panel(panel, (transform, name), rows, axes, scale)?;
     }
     area.present()
+}
+
+/// What the colours stand for, in a row at height `y`: kernels and what is written beside them.
+pub(super) fn legend<B: DrawingBackend>(
+    head: &DrawingArea<B, Shift>,
+    entries: &[(&str, String)],
+    y: i32,
+    (size, scale): (i32, i32),
+) -> Drawn<B>
+where
+    B::ErrorType: 'static,
+{
+    let (mut x, y) = (20 * scale, y * scale);
+    for (name, label) in entries {
+        let (radius, style) = (5 * scale, colour(name).filled());
+        if *name == "voxel-bilinear" {
+            head.draw(&TriangleMarker::new((x, y), radius, style))?;
+        } else {
+            head.draw(&Circle::new((x, y), radius, style))?;
+        }
+        let at = (x + 10 * scale, y - size / 2 * scale);
+        head.draw_text(label, &text(size, scale), at)?;
+        x += (30 + 3 * size * label.len() as i32 / 4) * scale;
+    }
+    Ok(())
 }
 
 fn draw_panel<B: DrawingBackend>(

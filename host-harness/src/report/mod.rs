@@ -2,6 +2,7 @@
 
 pub mod chart;
 pub mod demo;
+pub mod error_chart;
 pub mod frame_picture;
 pub mod kernel_chart;
 pub mod picture;
