@@ -12,6 +12,7 @@ pub mod cut;
 pub mod front;
 pub mod kernel;
 pub mod mcu;
+pub mod moderate;
 pub mod peers;
 pub mod scaling;
 pub mod window;
