@@ -91,7 +91,9 @@ impl Counts {
         }
         for name in saved.cases.keys() {
             if !self.cases.contains_key(name) {
-                failures.push(format!("{name}: saved, but not counted any more: save them"));
+                failures.push(format!(
+                    "{name}: saved, but not counted any more: save them"
+                ));
             }
         }
         failures

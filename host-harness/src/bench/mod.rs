@@ -15,6 +15,7 @@ pub mod mcu;
 pub mod moderate;
 pub mod peers;
 pub mod scaling;
+pub mod skips;
 pub mod window;
 
 use std::time::{Duration, Instant};

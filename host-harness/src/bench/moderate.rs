@@ -39,9 +39,12 @@ pub fn window(scene: &[Event]) -> Result<&[Event]> {
     let first = scene.partition_point(|event| event.t_us < START_US);
     let events = scene.get(first..first + EVENTS).unwrap_or_default();
     ensure!(
-        events.first().zip(events.last()).is_some_and(|(first, last)| {
-            last.t_us.saturating_sub(first.t_us) < u64::from(WINDOW_US)
-        }),
+        events
+            .first()
+            .zip(events.last())
+            .is_some_and(|(first, last)| {
+                last.t_us.saturating_sub(first.t_us) < u64::from(WINDOW_US)
+            }),
         "not the events of the scene"
     );
     Ok(events)
