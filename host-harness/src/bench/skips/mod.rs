@@ -346,10 +346,11 @@ impl<'s> Point<'s> {
 
         let header = frames.headers.first().context("no windows")?;
         let mut out = vec![0; FRAME_BYTES_MAX];
-        let mut encoders: Vec<Plain<B>> = Vec::new();
+        // One for all, so that none of them finds its memory nearer than the others do.
+        let mut plain: Plain<B> = Plain::new(header);
         let mut general_bits = 0;
         for (skip, skips) in &runs {
-            let mut plain = Plain::new(header, *skips);
+            plain.skip(*skips);
             for ((window, header), expected) in self.windows(frames).zip(&frames.frames) {
                 let frame = plain.frame(&window.events, *header, &mut out);
                 let frame = &out[frame.ok().context(NO_ROOM)?];
@@ -363,13 +364,13 @@ impl<'s> Point<'s> {
                     self.transform.name()
                 );
             }
-            encoders.push(plain);
         }
 
         let mut storage = self.storage();
         let mut core = storage.encoder(self.config(PARAMETER_M))?;
         let us = self.time(1 + runs.len(), &mut |run, i, window| {
-            if let Some(plain) = encoders.get_mut(run) {
+            if let Some((_, skips)) = runs.get(run) {
+                plain.skip(*skips);
                 let frame = plain.frame(&window.events, frames.headers[i], &mut out);
                 frame.ok().context(NO_ROOM)?;
             } else {

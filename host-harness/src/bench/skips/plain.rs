@@ -122,8 +122,9 @@ impl Iterator for List<'_> {
 }
 
 impl<B: Basis> Plain<B> {
-    /// An encoder of windows that are as `header` has them.
-    pub fn new(header: &Header, skips: Skips) -> Self {
+    /// An encoder of windows that are as `header` has them; it skips everything.
+    pub fn new(header: &Header) -> Self {
+        let skips = Skips::ALL;
         let [width, height] = [header.sensor.width, header.sensor.height];
         let segments = segments(width, height);
         Self {
@@ -145,6 +146,12 @@ impl<B: Basis> Plain<B> {
                 basis: PhantomData,
             },
         }
+    }
+
+    /// Skips these from now on, in the same memory.
+    pub const fn skip(&mut self, skips: Skips) {
+        self.skips = skips;
+        self.stages.skips = skips;
     }
 
     /// The frame of a window, within `out`: its events, and the rest of its header.
