@@ -12,7 +12,7 @@ use object::{Object, ObjectSymbol};
 use crate::cases::{self, Case};
 use crate::counts::{Count, Counts};
 
-/// The function of [`cases`] inside of which instructions count.
+/// The function of `cases` inside of which instructions count.
 const COUNTED: &str = "count_these";
 
 /// Features of the processor that the compiler may have been told to use.
@@ -73,7 +73,7 @@ pub fn measure() -> anyhow::Result<Counts> {
     })
 }
 
-/// The name of [`COUNTED`] as the linker has it. With a pattern in its place, Callgrind 3.19 counts,
+/// The name of `COUNTED` as the linker has it. With a pattern in its place, Callgrind 3.19 counts,
 /// but writes no file when the function returns.
 fn symbol(program: &Path) -> anyhow::Result<String> {
     let bytes = fs::read(program)?;

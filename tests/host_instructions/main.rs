@@ -8,7 +8,7 @@
 //! host_instructions run FOLDER     what is counted; this program calls itself so
 //! ```
 //!
-//! Callgrind collects inside of one function ([`cases::count_these`]) and writes a file each time
+//! Callgrind collects inside of one function (`count_these`) and writes a file each time
 //! that it returns, so one process has all cases and neither their preparation nor its own start
 //! counts. Nothing is linked in for that: no client requests, which want C headers of Valgrind, a C
 //! compiler and libclang, and no harness with a runner to be installed in the same version.
