@@ -2,7 +2,8 @@
 # Every check of the project, headless. `./test.sh` runs all of them, `./test.sh STAGE...` some:
 #
 #   lint      formatting, clippy, documentation
-#   unit      unit, property, golden, format, end-to-end tests; shared recordings where present
+#   unit      unit, property, golden, format, end-to-end tests; shared recordings where present;
+#             instructions of the host's encoder, decoder and readers
 #   nostd     the core without std
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 5)
@@ -44,6 +45,21 @@ unit() {
     cargo test --workspace
     # The bits must not depend on the profile.
     cargo test --release -p eecvs-tests --test golden --test wire_format
+    host_instructions
+}
+
+host_instructions() {
+    local status=0
+    if ! have valgrind; then
+        echo "installing valgrind"
+        if ! { have apt-get && apt-get install -y -qq valgrind >/dev/null 2>&1; }; then
+            skip "unit: instructions: there is no valgrind and apt-get cannot install it"
+            return
+        fi
+    fi
+    host-harness/instructions.sh --check || status=$?
+    [ "$status" != 77 ] || skip "unit: instructions: the saved ones are of another compiler"
+    [ "$status" = 0 ] || [ "$status" = 77 ]
 }
 
 # A target's core library, installed if rustup may.

@@ -1,4 +1,4 @@
-//! `eecvs bench`: rows, front, chart, usage. No time is judged here.
+//! `eecvs bench`: rows, front, chart, skipping, usage. No time is judged here.
 
 mod cli_support;
 
@@ -227,6 +227,100 @@ fn scaling_has_both_series() {
     for sensor in ["128x128", "2048x2048"] {
         assert!(table.contains(sensor), "{table}");
     }
+}
+
+#[test]
+fn skipping_is_measured_with_it_and_without() {
+    let folder = Folder::new();
+    let rows = folder.eecvs("bench --skips --quick --json").ok().array();
+    let scenes = ["emulated_moderate", "emulated_sparse", "emulated_dense"];
+    let waves = [
+        ("nothing", "us/window", "timed"),
+        ("inactive pixels, transformed", "us/window", "timed"),
+        ("single events as cells", "us/window", "timed"),
+        ("everything", "us/window", "timed"),
+        ("single events as cells", "bits/window", "packed"),
+        ("inactive pixels, told by gaps", "bits/window", "counted"),
+    ];
+    let dct = [
+        ("empty segments", "us/window", "timed"),
+        ("inactive pixels, looked at", "us/window", "timed"),
+        ("empty windows", "bits/recording", "packed"),
+    ];
+    let pruned = [
+        ("pruned coefficients", "us/window", "timed"),
+        ("pruned coefficients", "bits/window", "packed"),
+    ];
+    let dwt = [
+        ("butterflies of few events", "us/window", "timed"),
+        ("zero coefficients", "coefficients/window", "counted"),
+        ("zero coefficients", "bits/window", "counted"),
+    ];
+    let expected: BTreeSet<_> = scenes
+        .iter()
+        .flat_map(|scene| {
+            let of = move |transform| move |(skip, unit, how)| (*scene, transform, skip, unit, how);
+            let dct = waves.iter().chain(&dct).copied().map(of("dct"));
+            let dtft = waves.iter().chain(&pruned).copied().map(of("dtft"));
+            let haar = waves.iter().chain(&pruned).chain(&dwt).copied();
+            dct.chain(dtft).chain(haar.map(of("dwt")))
+        })
+        .collect();
+    let key = ["recording", "transform", "skip", "unit", "how"];
+    let found: BTreeSet<_> = rows
+        .iter()
+        .map(|row| key.map(|key| text(row, key)))
+        .collect();
+    let found: BTreeSet<_> = found
+        .into_iter()
+        .map(|[a, b, c, d, e]| (a, b, c, d, e))
+        .collect();
+    assert_eq!(found, expected);
+    assert_eq!(rows.len(), expected.len(), "no row is there twice");
+
+    for row in &rows {
+        let [with, without] = ["with", "without"].map(|key| number(row, key));
+        let saved = 100.0 * (1.0 - with / without);
+        assert!(with > 0.0 && without > 0.0, "{row}");
+        assert!((number(row, "saved_percent") - saved).abs() < 1e-9, "{row}");
+        // Nothing that is skipped would take fewer bits.
+        assert!(text(row, "how") == "timed" || with <= without, "{row}");
+        let count = |key| count(&row["counts"], key);
+        assert!(count("single_pixels") <= count("active_pixels"), "{row}");
+        assert!(count("active_pixels") <= count("events"), "{row}");
+        assert!(count("active_pixels") < count("pixels"), "{row}");
+        assert!(count("active_segments") <= count("active_pixels"), "{row}");
+        assert!(
+            count("trailing_zero_levels") <= count("zero_levels"),
+            "{row}"
+        );
+        assert_eq!(count("pixels"), 346 * 260 * count("windows"));
+    }
+}
+
+#[test]
+fn skipping_takes_the_recordings_that_are_there() {
+    let folder = Folder::new();
+    std::fs::create_dir_all(folder.path("all/gen3_vga_dense_evt2")).expect("a folder");
+    folder
+        .eecvs("emulate outdoor-dark --duration-us 100000 -o all/gen3_vga_dense_evt2/evt2.raw")
+        .ok();
+    let table = folder.eecvs("bench --skips --quick --recordings all").ok();
+    let lines: Vec<&str> = table.stdout.lines().collect();
+    assert!(
+        lines[0].ends_with("| how | gen3_vga_dense_evt2 |"),
+        "{table}"
+    );
+    let columns = |line: &str| line.matches('|').count();
+    assert!(lines.len() > 20, "{table}");
+    assert!(lines.iter().all(|line| columns(line) == 6), "{table}");
+
+    std::fs::create_dir(folder.path("none")).expect("a folder");
+    folder
+        .eecvs("bench --skips --recordings none")
+        .fails(&["none", "--recordings"]);
+    let both = folder.eecvs("bench --skips --scaling");
+    assert_eq!(both.status, Some(2), "{both}");
 }
 
 #[test]

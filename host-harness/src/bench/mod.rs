@@ -13,8 +13,10 @@ pub mod errors;
 pub mod front;
 pub mod kernel;
 pub mod mcu;
+pub mod moderate;
 pub mod peers;
 pub mod scaling;
+pub mod skips;
 pub mod window;
 
 use std::time::{Duration, Instant};

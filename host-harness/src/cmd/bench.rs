@@ -1,4 +1,5 @@
-//! `eecvs bench`: run time against error of every kernel, its error alone, and how encoding scales.
+//! `eecvs bench`: run time against error of every kernel, its error alone, how encoding scales, what
+//! skipping saves.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,7 +9,7 @@ use clap::Args;
 
 use super::output::{print, print_json};
 use crate::bench::cut::{self, Cut};
-use crate::bench::{Effort, M, Origin, Row, errors, measure, over_windows, scaling, steps};
+use crate::bench::{Effort, M, Origin, Row, errors, measure, over_windows, scaling, skips, steps};
 use crate::progress::Progress;
 use crate::report::{error_chart, kernel_chart};
 
@@ -27,7 +28,8 @@ pub struct Bench {
     #[arg(short, long, value_name = "DIR", default_value = "target/bench")]
     output: PathBuf,
 
-    /// Folder of the recordings to cut windows from; fails where one is missing
+    /// Folder of the recordings to cut windows from; fails where one is missing, and with --skips
+    /// where all are
     /// [default: ../shared/data where it is complete, else emulated scenes]
     #[arg(long, value_name = "DIR", conflicts_with = "scaling")]
     recordings: Option<PathBuf>,
@@ -42,8 +44,12 @@ pub struct Bench {
 
     /// Instead: largest error per event of every kernel over k = 1 to 1,023, over 1 to 65,535 events
     /// in a pixel, and over windows from 1 us to over an hour; fails beyond a documented bound
-    #[arg(long, conflicts_with_all = ["scaling", "recordings"])]
+    #[arg(long, conflicts_with_all = ["scaling", "recordings", "skips"])]
     errors: bool,
+
+    /// Instead: what the encoder saves by each kind of skipping, with it and without
+    #[arg(long, conflicts_with = "scaling")]
+    skips: bool,
 
     /// Print one JSON array of rows instead of the table
     #[arg(long)]
@@ -59,6 +65,9 @@ impl Bench {
     pub fn run(self) -> Result<()> {
         if self.scaling {
             return self.scale();
+        }
+        if self.skips {
+            return self.skip();
         }
         fs::create_dir_all(&self.output)
             .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
@@ -87,6 +96,29 @@ impl Bench {
             table(&merged),
             files.map(|file| file.display().to_string()).join(", "),
         ))
+    }
+
+    fn skip(&self) -> Result<()> {
+        let folder = self.recordings.as_deref();
+        let mut sources = skips::source::recordings(folder.unwrap_or(Path::new(RECORDINGS)))?;
+        if sources.is_empty() {
+            ensure!(
+                folder.is_none(),
+                "{}: none of the recordings; leave --recordings out to take emulated scenes",
+                folder.unwrap_or(Path::new(RECORDINGS)).display()
+            );
+            sources = skips::source::scenes()?;
+        }
+        let steps = skips::steps(sources.len());
+        let progress = Progress::new(&format!("of {steps} points"));
+        let rows = skips::measure(&sources, self.quick, &mut || progress.advance(1));
+        drop(progress);
+        let rows = rows?;
+        if self.json {
+            print_json(&rows)
+        } else {
+            print(&skips_table(&rows))
+        }
     }
 
     /// What is measured.
@@ -299,4 +331,50 @@ fn scaling_table(rows: &[scaling::Row]) -> String {
         }
     }
     text
+}
+
+/// A table in Markdown: what is skipped down, recordings across.
+fn skips_table(rows: &[skips::Row]) -> String {
+    let mut recordings: Vec<&str> = rows.iter().map(|row| row.recording).collect();
+    recordings.dedup();
+    let mut text = "| skipped | transform | unit | how |".to_owned();
+    for recording in &recordings {
+        text += &format!(" {recording} |");
+    }
+    text += "\n|---|---|---|---|";
+    text += &"---|".repeat(recordings.len());
+    text.push('\n');
+    let key = |row: &skips::Row| (row.skip, row.transform, row.unit);
+    let of_first = rows.iter().filter(|row| row.recording == recordings[0]);
+    for first in of_first {
+        text += &format!(
+            "| {} | {} | {} | {} |",
+            first.skip,
+            first.transform,
+            first.unit,
+            first.how.name()
+        );
+        for recording in &recordings {
+            let mut same = rows.iter().filter(|row| key(row) == key(first));
+            if let Some(row) = same.find(|row| row.recording == *recording) {
+                text += &format!(
+                    " {} of {}, {:.0} % |",
+                    figure(row.with),
+                    figure(row.without),
+                    row.saved_percent
+                );
+            }
+        }
+        text.push('\n');
+    }
+    text
+}
+
+/// Three digits, or all before the point.
+fn figure(value: f64) -> String {
+    match value {
+        100.0.. => format!("{value:.0}"),
+        10.0.. => format!("{value:.1}"),
+        _ => format!("{value:.2}"),
+    }
 }

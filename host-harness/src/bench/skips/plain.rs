@@ -1,0 +1,368 @@
+//! The encoder once more, plainly written, of which every kind of skipping can be left out.
+//!
+//! The stages are the core's, and so are the frames, bit for bit, but for those of
+//! [`Skips::singles`]: what differs in time is the skipping alone.
+
+use std::hint::black_box;
+use std::marker::PhantomData;
+use std::mem;
+use std::ops::Range;
+
+use eecvs_nostd::bits::BitWriter;
+use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
+use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
+use eecvs_nostd::pack::Packer;
+use eecvs_nostd::phase::PhaseScale;
+use eecvs_nostd::prune::Kept;
+use eecvs_nostd::quantise::Levels;
+use eecvs_nostd::transform::{Basis, GRID_MAX, Impulse, Rule, Transform};
+use eecvs_nostd::window::SEGMENT_PIXELS;
+use eecvs_nostd::{Event, Header, NoRoom, Polarity, Shape, bitmap_words, segments};
+
+/// What is skipped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Skips {
+    /// Segments of 32 pixels without events are not looked at: a bit of each tells.
+    pub segments: bool,
+    /// Pixels without events are not looked at: a bit of each of a segment tells.
+    pub pixels: bool,
+    /// Pixels without events are not transformed.
+    pub transforms: bool,
+    /// A single event is the cell of its time, not accumulated and sent as levels.
+    pub singles: bool,
+    /// Few events go into the Haar coefficients that they change, not into bins that all of the
+    /// coefficients are made of.
+    pub butterflies: bool,
+}
+
+impl Skips {
+    /// Everything that the encoder skips.
+    pub const ALL: Self = Self {
+        segments: true,
+        pixels: true,
+        transforms: true,
+        singles: true,
+        butterflies: true,
+    };
+    /// Nothing.
+    pub const NONE: Self = Self {
+        segments: false,
+        pixels: false,
+        transforms: false,
+        singles: false,
+        butterflies: false,
+    };
+}
+
+/// No slot.
+const NONE: u32 = u32::MAX;
+const COLUMNS: usize = SEGMENT_PIXELS as usize;
+
+/// A buffered event.
+#[derive(Debug, Clone, Copy)]
+struct Slot {
+    impulse: Impulse,
+    column: u8,
+    /// Of the same list, or [`NONE`].
+    next: u32,
+}
+
+/// An encoder of windows with the transform `B`.
+pub struct Plain<B> {
+    skips: Skips,
+    /// Segments in a row.
+    stride: usize,
+    width: usize,
+    slots: Vec<Slot>,
+    /// By segment, its newest event.
+    heads: Vec<u32>,
+    /// Which segments have events.
+    bitmap: Vec<u32>,
+    stages: Stages<B>,
+}
+
+/// From a pixel's events to bits.
+struct Stages<B> {
+    skips: Skips,
+    shape: Shape,
+    scale: PhaseScale,
+    sums: Vec<Sum>,
+    totals: Vec<WideSum>,
+    magnitudes: Vec<u32>,
+    kept: Kept,
+    basis: PhantomData<B>,
+}
+
+/// Where a pixel is and what it counts.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    x: u16,
+    y: u16,
+    on: u32,
+    off: u32,
+}
+
+/// Events of a list, oldest first.
+#[derive(Clone)]
+struct List<'s> {
+    slots: &'s [Slot],
+    next: u32,
+}
+
+impl Iterator for List<'_> {
+    type Item = Impulse;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Impulse> {
+        let slot = self.slots.get(self.next as usize)?;
+        self.next = slot.next;
+        Some(slot.impulse)
+    }
+}
+
+impl<B: Basis> Plain<B> {
+    /// An encoder of windows that are as `header` has them; it skips everything.
+    pub fn new(header: &Header) -> Self {
+        let skips = Skips::ALL;
+        let [width, height] = [header.sensor.width, header.sensor.height];
+        let segments = segments(width, height);
+        Self {
+            skips,
+            stride: width.div_ceil(SEGMENT_PIXELS).into(),
+            width: width.into(),
+            slots: Vec::new(),
+            heads: vec![NONE; segments],
+            bitmap: vec![0; bitmap_words(segments)],
+            stages: Stages {
+                skips,
+                shape: header.packing().shape(),
+                scale: PhaseScale::new(header.duration_us),
+                sums: vec![Sum::ZERO; 2 * GRID_MAX],
+                totals: vec![WideSum::ZERO; 2 * GRID_MAX],
+                magnitudes: vec![0; 2 * GRID_MAX],
+                kept: Kept::NONE,
+                basis: PhantomData,
+            },
+        }
+    }
+
+    /// Skips these from now on, in the same memory.
+    pub const fn skip(&mut self, skips: Skips) {
+        self.skips = skips;
+        self.stages.skips = skips;
+    }
+
+    /// The frame of a window, within `out`: its events, and the rest of its header.
+    ///
+    /// # Errors
+    /// [`NoRoom`] in `out`.
+    pub fn frame(
+        &mut self,
+        events: &[Event],
+        mut header: Header,
+        out: &mut [u8],
+    ) -> Result<Range<usize>, NoRoom> {
+        self.slots.clear();
+        for event in events {
+            self.store(event, header.t0_us);
+        }
+        let end = out.len() - CRC_BYTES;
+        let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..end]);
+        let mut packer = header.packing().packer();
+        (header.events, header.pixels, header.saturated) = (0, 0, 0);
+        let mut each = |stages: &mut Stages<B>, place: Place, list: List<'_>| {
+            header.events += place.on + place.off;
+            header.pixels += u32::from(place.on + place.off > 0);
+            header.saturated += stages.pixel(place, list, &mut packer, &mut writer);
+        };
+        if self.skips.segments {
+            for word in 0..self.bitmap.len() {
+                let mut bits = mem::take(&mut self.bitmap[word]);
+                while bits != 0 {
+                    self.segment(32 * word + bits.trailing_zeros() as usize, &mut each);
+                    bits &= bits - 1;
+                }
+            }
+        } else {
+            self.bitmap.fill(0);
+            for segment in 0..self.heads.len() {
+                self.segment(segment, &mut each);
+            }
+        }
+        let bytes = writer.finish();
+        seal(&header, bytes, out)
+    }
+
+    #[inline(always)]
+    fn store(&mut self, event: &Event, t0_us: u64) {
+        let x = usize::from(event.x);
+        let segment = usize::from(event.y) * self.stride + x / COLUMNS;
+        self.bitmap[segment / 32] |= 1 << (segment % 32);
+        let slot = self.slots.len() as u32;
+        self.slots.push(Slot {
+            impulse: Impulse {
+                offset_us: (event.t_us - t0_us) as u32,
+                is_on: event.polarity == Polarity::On,
+            },
+            column: (x % COLUMNS) as u8,
+            next: mem::replace(&mut self.heads[segment], slot),
+        });
+    }
+
+    /// Calls `each` with the pixels of a segment: those with events, or all.
+    #[inline(always)]
+    fn segment(&mut self, segment: usize, each: &mut impl FnMut(&mut Stages<B>, Place, List<'_>)) {
+        let mut next = mem::replace(&mut self.heads[segment], NONE);
+        if next == NONE && self.skips.pixels {
+            return;
+        }
+        let (mut columns, mut heads) = (0_u32, [NONE; COLUMNS]);
+        let mut counts = [[0_u32; 2]; COLUMNS];
+        while let Some(slot) = self.slots.get_mut(next as usize) {
+            let here = mem::replace(&mut next, slot.next);
+            let column = usize::from(slot.column) % COLUMNS;
+            columns |= 1 << column;
+            counts[column][usize::from(slot.impulse.is_on)] += 1;
+            slot.next = mem::replace(&mut heads[column], here);
+        }
+        let (y, first) = (segment / self.stride, segment % self.stride * COLUMNS);
+        let mut pixel = |column: usize| {
+            let [off, on] = counts[column];
+            let place = Place {
+                x: (first + column) as u16,
+                y: y as u16,
+                on,
+                off,
+            };
+            let list = List {
+                slots: &self.slots,
+                next: heads[column],
+            };
+            each(&mut self.stages, place, list);
+        };
+        if self.skips.pixels {
+            while columns != 0 {
+                pixel(columns.trailing_zeros() as usize % COLUMNS);
+                columns &= columns - 1;
+            }
+        } else {
+            for column in 0..COLUMNS.min(self.width - first) {
+                pixel(column);
+            }
+        }
+    }
+}
+
+impl<B: Basis> Stages<B> {
+    /// Encodes a pixel; returns how many levels saturated.
+    #[inline(always)]
+    fn pixel(
+        &mut self,
+        place: Place,
+        mut list: List<'_>,
+        packer: &mut Packer,
+        writer: &mut BitWriter<'_>,
+    ) -> u32 {
+        let events = place.on + place.off;
+        if events == 0 && self.skips.transforms {
+            return 0;
+        }
+        if events == 1 && self.skips.singles {
+            let offset_us = list.next().map_or(0, |impulse| impulse.offset_us);
+            let cell = B::cell(self.scale, offset_us, packer.cells_log2());
+            packer.single((place.x, place.y), place.on == 1, cell, writer);
+            return 0;
+        }
+        let grid = self.shape.grid;
+        if events as usize <= CHUNK_EVENTS {
+            self.accumulate(list);
+            let mut sums = mem::take(&mut self.sums);
+            let saturated = self.rest(place, &mut sums, packer, writer);
+            self.sums = sums;
+            return saturated;
+        }
+        let mut totals = mem::take(&mut self.totals);
+        let values = B::values(grid);
+        totals[..values].fill(WideSum::ZERO);
+        for _ in 0..events.div_ceil(CHUNK_EVENTS as u32) {
+            self.accumulate(list.clone());
+            for (total, sum) in totals.iter_mut().zip(&self.sums).take(values) {
+                *total = total.wrapping_add(sum.wide());
+            }
+            let _ = list.nth(CHUNK_EVENTS - 1);
+        }
+        let saturated = self.rest(place, &mut totals, packer, writer);
+        self.totals = totals;
+        saturated
+    }
+
+    #[inline(always)]
+    fn accumulate(&mut self, list: List<'_>) {
+        let grid = self.shape.grid;
+        if B::TRANSFORM == Transform::Dwt && !self.skips.butterflies {
+            return haar(list, self.scale, grid, &mut self.sums);
+        }
+        B::accumulate(list, self.scale, grid, &mut self.sums);
+    }
+
+    /// What follows on the sums.
+    #[inline(always)]
+    fn rest<C: Coefficient>(
+        &mut self,
+        place: Place,
+        sums: &mut [C],
+        packer: &mut Packer,
+        writer: &mut BitWriter<'_>,
+    ) -> u32 {
+        let Shape { grid, .. } = self.shape;
+        let Place { x, y, on, off } = place;
+        let events = on + off;
+        sums[0] = C::from_integer(on as i32 - off as i32);
+        if B::TRANSFORM.is_complex() {
+            sums[1] = C::from_integer(0);
+        }
+        let is_pruned = B::RULE == Rule::Magnitude;
+        if is_pruned {
+            self.kept.clear(grid);
+            let (magnitudes, kept) = (&mut self.magnitudes, &mut self.kept);
+            B::prune(sums, events.max(1), self.shape, magnitudes, kept);
+        }
+        let mut levels = Levels::new(&mut self.magnitudes);
+        B::quantise(sums, self.shape, &self.kept, &mut levels);
+        if events == 0 {
+            black_box(levels.as_slice());
+            return 0;
+        }
+        packer.place((x, y), (on, off), writer);
+        if is_pruned {
+            packer.set(&self.kept, writer);
+        }
+        packer.levels(events, &levels, writer);
+        levels.saturated()
+    }
+}
+
+/// The Haar sums of at most a chunk of events by bins and butterflies, whatever their number.
+#[inline(always)]
+fn haar(list: List<'_>, scale: PhaseScale, grid: usize, sums: &mut [Sum]) {
+    let (differences, bins) = sums.split_at_mut(grid);
+    let bins = &mut bins[..grid];
+    bins.fill(Sum::ZERO);
+    for impulse in list.take(CHUNK_EVENTS) {
+        let sign = if impulse.is_on {
+            Sum::ONE
+        } else {
+            Sum::NEG_ONE
+        };
+        bins[scale.bin(impulse.offset_us, grid.trailing_zeros()) as usize] += sign;
+    }
+    let mut half = grid / 2;
+    while half > 0 {
+        for i in 0..half {
+            let (first, second) = (bins[2 * i], bins[2 * i + 1]);
+            differences[half + i] = first - second;
+            bins[i] = first + second;
+        }
+        half /= 2;
+    }
+}

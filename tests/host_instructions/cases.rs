@@ -1,0 +1,100 @@
+//! What is counted: the encoder and the decoder on the window of [`moderate`], and three readers.
+
+use std::fs;
+use std::hint::black_box;
+use std::io::Cursor;
+use std::path::Path;
+
+use anyhow::{Context, ensure};
+use eecvs_nostd::{Event, FRAME_BYTES_MAX, Scan, Transform, scan};
+use host_harness::bench::moderate::{self, SENSOR, config, encode};
+use host_harness::encode::{HostStorage, WINDOW_EVENTS};
+use host_harness::formats;
+
+/// Events of the files, at the most: the first of the scene.
+const FILE_EVENTS: usize = 100_000;
+/// Name of the case, and of its file, whose extension is the format's.
+const READERS: [(&str, &str); 3] = [
+    ("read aedat4", "events.aedat4"),
+    ("read evt2", "events.evt2.raw"),
+    ("read evt3", "events.raw"),
+];
+const M: [u8; 2] = [8, 16];
+
+/// A case: its name, and the events that it works on.
+pub type Case = (String, usize);
+
+/// Runs what is counted. Callgrind is told this name, which no other function may contain: apart,
+/// and one for all cases, so that it is entered once a case.
+#[inline(never)]
+fn count_these(work: &mut dyn FnMut()) {
+    work();
+    // A jump to the work in place of a call would leave this function before it is done.
+    black_box(0_u32);
+}
+
+/// Writes what [`run`] reads: emulating under Valgrind would take a minute.
+pub fn prepare(folder: &Path) -> anyhow::Result<()> {
+    let scene = moderate::scene()?;
+    for (_, file) in READERS {
+        let mut writer = formats::create(&folder.join(file), SENSOR)?;
+        writer.write(&scene[..FILE_EVENTS.min(scene.len())])?;
+        writer.finish()?;
+    }
+    Ok(())
+}
+
+/// Runs every case, in the same order each time. Each answer is looked at.
+pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
+    let mut cases = Vec::new();
+    let mut events = Vec::new();
+    for (name, file) in READERS {
+        let bytes = fs::read(folder.join(file)).context(file)?;
+        let mut bytes = Some(bytes);
+        let mut read = Ok(Vec::new());
+        count_these(&mut || read = read_all(bytes.take().unwrap_or_default(), file));
+        let read = read?;
+        ensure!(events.is_empty() || events == read, "{file}: other events");
+        cases.push((name.to_owned(), read.len()));
+        events = read;
+    }
+    let window = moderate::window(&events)?;
+    for transform in Transform::ALL {
+        for m in M {
+            let mut storage = HostStorage::new(SENSOR, WINDOW_EVENTS);
+            let mut encoder = storage.encoder(config(transform, m))?;
+            let mut out = vec![0; FRAME_BYTES_MAX];
+            let frame = encode(&mut encoder, window, &mut out).to_vec();
+            count_these(&mut || {
+                black_box(encode(&mut encoder, window, &mut out));
+            });
+            let name = |what| format!("{what} {} {m}", transform.name());
+            cases.push((name("encode"), window.len()));
+
+            let mut counted = 0;
+            count_these(&mut || counted = decode(&frame));
+            ensure!(counted == window.len(), "decoded {counted} events");
+            cases.push((name("decode"), window.len()));
+        }
+    }
+    Ok(cases)
+}
+
+/// The events of a file in memory, its header included.
+fn read_all(bytes: Vec<u8>, name: &str) -> anyhow::Result<Vec<Event>> {
+    let mut reader = formats::open_source(Box::new(Cursor::new(bytes)), name, None)?;
+    let mut events = Vec::with_capacity(FILE_EVENTS);
+    while reader.read(&mut events)? > 0 {}
+    Ok(events)
+}
+
+/// Checks a frame and unpacks its pixels; returns their events.
+fn decode(frame: &[u8]) -> usize {
+    let Scan::Frame(frame) = scan(frame) else {
+        return 0;
+    };
+    let pixels = frame.descriptors().flatten();
+    pixels.fold(0, |events, pixel| {
+        events + black_box(&pixel).events() as usize
+    })
+}
