@@ -435,7 +435,7 @@ fn image(machine: Machine) -> Option<PathBuf> {
         eprintln!("skipped: qemu-system-arm is not installed");
         return None;
     }
-    match image::build(machine) {
+    match image::build(machine, "encoder") {
         Ok(image) => Some(image),
         Err(error) => {
             let library = Command::new("rustc")
