@@ -120,7 +120,10 @@ mod tests {
             let comparison = compare(&[count("emulator", all, crowded)], &saved);
             assert!(comparison.has_failed());
             let text = comparison.to_string();
-            assert!(text.contains("cortex-m4 emulator dense table dct M=8"), "{text}");
+            assert!(
+                text.contains("cortex-m4 emulator dense table dct M=8"),
+                "{text}"
+            );
             assert!(text.contains(name), "{text}");
         }
     }

@@ -35,6 +35,10 @@ pub fn origins(counts: &[Count]) -> BTreeSet<String> {
 pub fn keep_uncounted(counts: &mut Vec<Count>, saved: Vec<Count>) -> Vec<String> {
     let here = origins(counts);
     let kept = origins(&saved).difference(&here).cloned().collect();
-    counts.extend(saved.into_iter().filter(|count| !here.contains(&count.origin)));
+    counts.extend(
+        saved
+            .into_iter()
+            .filter(|count| !here.contains(&count.origin)),
+    );
     kept
 }

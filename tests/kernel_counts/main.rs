@@ -39,7 +39,10 @@ fn main() -> anyhow::Result<ExitCode> {
             file::write(&counts, saved)?;
         }
         ["check", counts, saved] => {
-            let (counts, saved) = (file::read(Path::new(counts))?, file::read(Path::new(saved))?);
+            let (counts, saved) = (
+                file::read(Path::new(counts))?,
+                file::read(Path::new(saved))?,
+            );
             let comparison = compare::compare(&counts, &saved);
             print!("{comparison}");
             if comparison.has_failed() {
@@ -47,7 +50,9 @@ fn main() -> anyhow::Result<ExitCode> {
             }
         }
         ["readme", saved, path] => readme::write(&file::read(Path::new(saved))?, Path::new(path))?,
-        _ => bail!("usage: kernel-counts run|table|save|check|readme ...; see the head of its source"),
+        _ => bail!(
+            "usage: kernel-counts run|table|save|check|readme ...; see the head of its source"
+        ),
     }
     Ok(ExitCode::SUCCESS)
 }

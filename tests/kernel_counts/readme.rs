@@ -102,7 +102,12 @@ mod tests {
 
     #[test]
     fn digits_are_grouped() {
-        for (value, text) in [(0.4, "0"), (999.4, "999"), (1000.0, "1,000"), (35_365.3, "35,365")] {
+        for (value, text) in [
+            (0.4, "0"),
+            (999.4, "999"),
+            (1000.0, "1,000"),
+            (35_365.3, "35,365"),
+        ] {
             assert_eq!(thousands(value), text);
         }
     }

@@ -328,7 +328,9 @@ impl Bench<'_> {
             core.grid = black_box(usize::from(B::TRANSFORM.grid_size(m, None)));
             let mut counts = [0; 2];
             for (part, count) in self.parts.into_iter().zip(&mut counts) {
-                *count = self.counter.count(|| core.pass(part, self.totals, &mut ()))?;
+                *count = self
+                    .counter
+                    .count(|| core.pass(part, self.totals, &mut ()))?;
             }
             let mut checksum = Checksum {
                 value: 0,
@@ -448,7 +450,9 @@ fn run() -> Option<()> {
     let mut counter = counter::Counter::new()?;
     let counted = known_loop(&mut counter)?;
     if !(199_900..200_100).contains(&counted) {
-        hprintln!("the timer counted {counted} for 200,000 instructions: QEMU with -icount shift=0?");
+        hprintln!(
+            "the timer counted {counted} for 200,000 instructions: QEMU with -icount shift=0?"
+        );
         return None;
     }
     let cut = CUT.take();

@@ -45,7 +45,11 @@ impl Images {
     pub fn build() -> Result<Self> {
         qemu::find()?;
         let build = |(target, machine)| Ok((target, machine, image::build(machine, "kernels")?));
-        TARGETS.into_iter().map(build).collect::<Result<_>>().map(Self)
+        TARGETS
+            .into_iter()
+            .map(build)
+            .collect::<Result<_>>()
+            .map(Self)
     }
 
     /// Counts every kernel on every target and window, several at a time.
@@ -91,10 +95,7 @@ fn words(windows: &Windows) -> Result<Vec<u32>> {
     for part in windows.parts() {
         words.push(u32::try_from(part.windows.len())?);
         for window in &part.windows {
-            words.extend([
-                window.duration_us,
-                u32::try_from(window.pixels().count())?,
-            ]);
+            words.extend([window.duration_us, u32::try_from(window.pixels().count())?]);
             for pixel in window.pixels() {
                 words.push(u32::try_from(pixel.impulses.len())?);
                 for impulse in pixel.impulses {

@@ -91,6 +91,7 @@ impl Bench {
         let merged = over_windows(&rows);
         let files = self.chart(&merged, &cuts)?;
         if self.json {
+            eprintln!("eecvs: instructions: {source}");
             return print_json(&rows);
         }
         print(&format!(

@@ -107,8 +107,11 @@ pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) ->
         }
         thread::sleep(Duration::from_millis(10));
     };
-    let [stdout, stderr] =
-        readers.map(|reader| reader.and_then(|reader| reader.join().ok()).unwrap_or_default());
+    let [stdout, stderr] = readers.map(|reader| {
+        reader
+            .and_then(|reader| reader.join().ok())
+            .unwrap_or_default()
+    });
     match status {
         Some(status) if status.success() => Ok(stdout),
         Some(status) => {

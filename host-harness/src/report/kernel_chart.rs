@@ -360,7 +360,12 @@ mod tests {
         };
         let rows = [row("table", 8, 3.0, Some(1e-4)), mcu];
         let svg = svg("title", &rows).unwrap();
-        for text in ["DCT, host", "DCT, Cortex-M4", "ns/event", "instructions/event"] {
+        for text in [
+            "DCT, host",
+            "DCT, Cortex-M4",
+            "ns/event",
+            "instructions/event",
+        ] {
             assert!(svg.contains(text), "{text}");
         }
         assert!(!svg.contains("Cortex-M7"));
