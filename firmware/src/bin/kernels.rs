@@ -230,7 +230,7 @@ impl<S: Number> Listen<S> for Checksum {
             for sum in part.iter().skip(1) {
                 let bits = sum.bits();
                 for word in [bits as u32, (bits >> 32) as u32] {
-                    self.value = (self.value ^ word).wrapping_mul(16_777_619);
+                    self.value = (self.value.rotate_left(5) ^ word).wrapping_mul(0x9e37_79b1);
                 }
             }
         }

@@ -156,7 +156,7 @@ where
                 for sum in sums.chunks(self.grid).flat_map(|part| &part[1..]) {
                     let bits = sum.bits();
                     for word in [bits as u32, (bits >> 32) as u32] {
-                        checksum = (checksum ^ word).wrapping_mul(16_777_619);
+                        checksum = (checksum.rotate_left(5) ^ word).wrapping_mul(0x9e37_79b1);
                     }
                 }
             }

@@ -21,8 +21,7 @@ pub fn build(machine: Machine, program: &str) -> Result<PathBuf> {
     let scripts = [FIRMWARE, "firmware"].map(|folder| Path::new(folder).join("build.sh"));
     let Some(script) = scripts.iter().find(|script| script.is_file()) else {
         bail!(
-            "no sources of the firmware in {FIRMWARE} or ./firmware: run this in the project's \
-             folder, or name an image with --image"
+            "no sources of the firmware in {FIRMWARE} or ./firmware: run this in the project's folder"
         );
     };
     let name = script.display();
