@@ -103,7 +103,7 @@ firmware() {
         return
     fi
     if target thumbv7em-none-eabihf && component clippy clippy; then
-        for machine in stm32f405 stm32f405,sensor mps2; do
+        for machine in stm32f405 stm32f405,{sensor,kernels} mps2,kernels; do
             cargo clippy --manifest-path firmware/Cargo.toml --release --locked --features "$machine" \
                 --target thumbv7em-none-eabihf --target-dir firmware/target/clippy -- -D warnings
         done
@@ -115,6 +115,7 @@ firmware() {
     done
     cargo test -p host-harness --test mcu
     firmware/instructions.sh --check
+    firmware/kernels.sh --check
     # The first events of every recording; without a number, all of them.
     firmware/recordings.sh "${RECORDING_EVENTS:-6000}"
     # Its only good end is the report of a fault.

@@ -8,6 +8,7 @@
 #
 # The images are firmware/target/MACHINE/TARGET/release/{encoder,golden}; the last line printed is
 # their folder. BINARY `instructions` needs its cuts: instructions.sh makes them and calls this.
+# BINARY `kernels` is for kernels.sh, on netduinoplus2 and mps2-an500.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -18,10 +19,13 @@ case $machine in
     mps2-an386) target=thumbv7em-none-eabihf feature=mps2 ;;
     mps2-an500) target=thumbv7em-none-eabihf feature=mps2 flags=(-C target-cpu=cortex-m7) ;;
     microbit) target=thumbv6m-none-eabi feature=microbit ;;
-    *) sed -n '2,10s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+    *) sed -n '2,11s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
 esac
 
-[ "${2:-}" != instructions ] || feature+=,cuts
+case ${2:-} in
+    instructions) feature+=,cuts ;;
+    kernels) feature+=,kernels ;;
+esac
 command=(cargo build --release --locked --features "$feature" --target "$target" --target-dir "target/$machine")
 if [ -n "${2:-}" ]; then
     command+=(--bin "$2")

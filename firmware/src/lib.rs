@@ -15,6 +15,7 @@
 //! | `bin/golden.rs` | the golden vectors, on the target |
 //! | `bin/overflow.rs` | a stack overflow, which must end in `fault.rs` |
 //! | `bin/instructions.rs` | instructions per event and stage |
+//! | `bin/kernels.rs` | instructions per event of every kernel of the accumulate stage |
 #![no_std]
 
 use panic_probe as _;

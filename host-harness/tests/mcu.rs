@@ -435,7 +435,7 @@ fn image(machine: Machine) -> Option<PathBuf> {
         eprintln!("skipped: qemu-system-arm is not installed");
         return None;
     }
-    match image::build(machine) {
+    match image::build(machine, "encoder") {
         Ok(image) => Some(image),
         Err(error) => {
             let library = Command::new("rustc")
@@ -556,4 +556,40 @@ fn the_command_reports_the_image() {
     let said = String::from_utf8_lossy(&without.stderr);
     assert!(said.contains("qemu-system-arm is not installed"), "{said}");
     assert_eq!(without.status.code(), Some(1));
+}
+
+#[test]
+fn every_kernel_is_counted_where_the_emulator_is() {
+    if image(Machine::NetduinoPlus2).is_none() {
+        return;
+    }
+    let folder = Folder::new();
+    let outcome = folder
+        .eecvs("bench --quick --mcu run --json -o charts")
+        .warns(&["instructions: counted now"]);
+    let rows = outcome.array();
+    for target in ["cortex-m4", "cortex-m7"] {
+        for kernel in [
+            "table",
+            "recurrence",
+            "precise",
+            "micromath",
+            "libm",
+            "haar",
+        ] {
+            let here = |row: &&serde_json::Value| {
+                text(row, "target") == target && text(row, "kernel") == kernel
+            };
+            let costs: Vec<f64> = rows
+                .iter()
+                .filter(here)
+                .map(|row| number(row, "cost"))
+                .collect();
+            assert!(costs.len() >= 12, "{target} {kernel}");
+            assert!(
+                costs.iter().all(|cost| (5.0..1e5).contains(cost)),
+                "{costs:?}"
+            );
+        }
+    }
 }

@@ -15,11 +15,13 @@ pub fn mark(rows: &mut [Row]) {
 
 /// Whether `other`, of the same transform, M, target and window, is as good and better in one.
 fn is_beaten(row: &Row, other: &Row) -> bool {
-    let group = |row: &Row| (row.transform, row.m, row.target, row.window);
+    let is_same = |a: &Row, b: &Row| {
+        (a.transform, a.m, a.target, &a.window) == (b.transform, b.m, b.target, &b.window)
+    };
     let (Some(error), Some(others)) = (row.max_error, other.max_error) else {
         return false;
     };
-    group(row) == group(other)
+    is_same(row, other)
         && other.cost <= row.cost
         && others <= error
         && (other.cost < row.cost || others < error)
@@ -35,7 +37,7 @@ mod tests {
             transform: "dct",
             m,
             target: "host",
-            window: "a",
+            window: "a".into(),
             cost,
             unit: "ns/event",
             cost_low: cost,
@@ -43,6 +45,7 @@ mod tests {
             max_error,
             rms_error: max_error,
             pareto: false,
+            is_crowded: false,
             events: 1,
             coefficients: 1,
         }

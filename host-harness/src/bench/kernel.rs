@@ -18,11 +18,18 @@ use crate::reference::dwt::height;
 pub trait Number: Copy {
     /// Its value, exact.
     fn to_f64(self) -> f64;
+
+    /// Its bits, of which a shorter one has the lower.
+    fn bits(self) -> u64;
 }
 
 impl Number for Sum {
     fn to_f64(self) -> f64 {
         self.to_num()
+    }
+
+    fn bits(self) -> u64 {
+        u64::from(self.to_bits() as u32)
     }
 }
 
@@ -30,11 +37,19 @@ impl Number for PreciseSum {
     fn to_f64(self) -> f64 {
         self.to_num()
     }
+
+    fn bits(self) -> u64 {
+        self.to_bits() as u64
+    }
 }
 
 impl Number for f32 {
     fn to_f64(self) -> f64 {
         self.into()
+    }
+
+    fn bits(self) -> u64 {
+        u64::from(self.to_bits())
     }
 }
 
@@ -130,6 +145,23 @@ where
             self.pixel(pixel);
             black_box((&self.sums, &self.totals));
         }
+    }
+
+    fn checksum(&mut self, parts: &[Windows]) -> Option<u32> {
+        let mut checksum = 0_u32;
+        for pixel in parts.iter().flat_map(Windows::pixels) {
+            for impulses in pixel.impulses.chunks(CHUNK_EVENTS) {
+                self.chunk(impulses, pixel.window.scale);
+                let sums = &self.sums[..B::values(self.grid)];
+                for sum in sums.chunks(self.grid).flat_map(|part| &part[1..]) {
+                    let bits = sum.bits();
+                    for word in [bits as u32, (bits >> 32) as u32] {
+                        checksum = (checksum.rotate_left(5) ^ word).wrapping_mul(0x9e37_79b1);
+                    }
+                }
+            }
+        }
+        Some(checksum)
     }
 
     fn coefficients(&mut self, pixel: Pixel<'_>) -> Option<Vec<Complex64>> {

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! cut -> window -> kernel | peers -> error against the oracle -> time -> row -> front
+//!               -> image in QEMU -> sums against the host's -> instructions -> row
 //! ```
 //!
 //! Each answer is compared with the f64 reference before anything is timed. What is timed is the
@@ -12,6 +13,7 @@ pub mod cut;
 pub mod errors;
 pub mod front;
 pub mod kernel;
+pub mod kernel_image;
 pub mod mcu;
 pub mod moderate;
 pub mod peers;
@@ -19,6 +21,7 @@ pub mod scaling;
 pub mod skips;
 pub mod window;
 
+use std::borrow::Cow;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
@@ -45,6 +48,12 @@ pub trait Contender {
 
     /// The stage over every pixel: what is timed.
     fn pass(&mut self, windows: &Windows);
+
+    /// Of the sums of all chunks, as an image makes it; `None` for what is in no image.
+    fn checksum(&mut self, parts: &[Windows]) -> Option<u32> {
+        let _ = parts;
+        None
+    }
 
     /// c_0 to c_(K-1) of a pixel as [`Self::pass`] computes them; `None` where it has no such
     /// thing.
@@ -106,10 +115,11 @@ pub struct Row {
     pub transform: &'static str,
     /// M; the number of bins of a voxel grid.
     pub m: u8,
-    /// `host` or `cortex-m4`.
+    /// `host`, `cortex-m4` or `cortex-m7`.
     pub target: &'static str,
-    /// Name of the cut, or `all`.
-    pub window: &'static str,
+    /// Name of the cut, or `all`; with `-crowded` after it, the pixels of
+    /// [`window::CROWDED_EVENTS`] and more events alone.
+    pub window: Cow<'static, str>,
     /// Median.
     pub cost: f64,
     /// `ns/event` or `instructions/event`.
@@ -124,6 +134,9 @@ pub struct Row {
     pub rms_error: Option<f64>,
     /// No other row of this transform, M, target and window is as good in both and better in one.
     pub pareto: bool,
+    /// Whether only crowded pixels were measured.
+    #[serde(skip)]
+    pub is_crowded: bool,
     /// Events measured.
     #[serde(skip)]
     pub events: usize,
@@ -142,27 +155,31 @@ pub const fn oracle_of(transform: Transform) -> oracle::Transform {
     }
 }
 
-/// Measures everything on the windows of `cuts`; `progress` is called after each of
-/// [`steps`]. Rows of the host by transform, M and window, then a voxel grid's, then those saved of
-/// a microcontroller.
+/// What is measured of the cuts.
+///
+/// # Errors
+/// As [`Windows::new`].
+pub fn windows(cuts: &[Cut], effort: Effort) -> Result<Vec<Windows>> {
+    let of = |cut| Windows::new(cut, effort.events);
+    cuts.iter().map(of).collect()
+}
+
+/// Measures everything on `windows`; `progress` is called after each of [`steps`]. Rows of the host
+/// by transform, M and window, then a voxel grid's, then those of `counts`.
 ///
 /// # Errors
 /// A kernel that is not within its documented error; the message names it.
 pub fn measure(
-    cuts: &[Cut],
-    origin: Origin,
+    windows: &[Windows],
+    counts: &[mcu::Count],
     effort: Effort,
     progress: &mut dyn FnMut(),
 ) -> Result<Vec<Row>> {
-    let windows: Vec<Windows> = cuts
-        .iter()
-        .map(|cut| Windows::new(cut, effort.events))
-        .collect::<Result<_>>()?;
     let mut rows = Vec::new();
     for transform in Transform::ALL {
         for m in M {
             let grid = usize::from(transform.grid_size(m, None));
-            for windows in &windows {
+            for windows in windows {
                 let mut contenders = kernel::kernels(transform, grid);
                 contenders.extend(peers::peers(transform, grid));
                 let point = Point {
@@ -177,7 +194,7 @@ pub fn measure(
         }
     }
     for m in M {
-        for windows in &windows {
+        for windows in windows {
             let point = Point {
                 transform: None,
                 m,
@@ -187,7 +204,7 @@ pub fn measure(
             rows.extend(point.measure(&mut [peers::voxel(m.into())])?);
         }
     }
-    rows.extend(saved(&rows, origin)?);
+    rows.extend(mcu::rows(&rows, windows, counts)?);
     front::mark(&mut rows);
     Ok(rows)
 }
@@ -212,17 +229,32 @@ struct Point<'w> {
 struct Error {
     max: f64,
     rms: f64,
+    coefficients: usize,
 }
 
-impl Point<'_> {
-    fn measure(&self, contenders: &mut [Box<dyn Contender>]) -> Result<Vec<Row>> {
+impl<'w> Point<'w> {
+    /// For errors alone.
+    fn of(transform: Transform, m: u8, windows: &'w Windows) -> Self {
+        Self {
+            transform: Some(transform),
+            m,
+            windows,
+            effort: Effort::QUICK,
+        }
+    }
+
+    /// Of each contender; `None` where it knows no coefficients.
+    fn errors(&self, contenders: &mut [Box<dyn Contender>]) -> Result<Vec<Option<Error>>> {
         let expected = self.expected();
-        let errors = contenders
+        contenders
             .iter_mut()
             .map(|contender| self.verify(contender.as_mut(), &expected))
-            .collect::<Result<Vec<_>>>()?;
+            .collect()
+    }
+
+    fn measure(&self, contenders: &mut [Box<dyn Contender>]) -> Result<Vec<Row>> {
+        let errors = self.errors(contenders)?;
         let costs = self.time(contenders);
-        let coefficients = expected.iter().map(|c| c.len().saturating_sub(1)).sum();
         Ok(contenders
             .iter()
             .zip(errors)
@@ -232,7 +264,7 @@ impl Point<'_> {
                 transform: self.transform.map_or("none", Transform::name),
                 m: self.m,
                 target: "host",
-                window: self.windows.name,
+                window: self.windows.name.into(),
                 cost,
                 unit: "ns/event",
                 cost_low,
@@ -240,8 +272,9 @@ impl Point<'_> {
                 max_error: error.map(|error| error.max),
                 rms_error: error.map(|error| error.rms),
                 pareto: false,
+                is_crowded: false,
                 events: self.windows.events,
-                coefficients,
+                coefficients: error.map_or(0, |error| error.coefficients),
             })
             .collect())
     }
@@ -298,7 +331,11 @@ impl Point<'_> {
             }
         }
         let rms = (square_sum / count.max(1) as f64).sqrt();
-        Ok(self.transform.map(|_| Error { max, rms }))
+        Ok(self.transform.map(|_| Error {
+            max,
+            rms,
+            coefficients: count,
+        }))
     }
 
     /// First quartile, median and third quartile of each in ns per event. They take turns, so that
@@ -339,45 +376,8 @@ fn quartiles(values: &mut [f64]) -> [f64; 3] {
     [last / 4, last / 2, last - last / 4].map(|i| values.get(i).copied().unwrap_or(f64::NAN))
 }
 
-/// Rows of the saved counts of a microcontroller: the kernels that its encoder takes. Their error
-/// is that of the same bits on the host.
-fn saved(host: &[Row], origin: Origin) -> Result<Vec<Row>> {
-    let mut rows = Vec::new();
-    for count in mcu::saved()? {
-        let transform = Transform::ALL
-            .into_iter()
-            .find(|transform| transform.name() == count.transform);
-        let (Some(transform), Some(cost)) = (transform, count.accumulate()) else {
-            continue;
-        };
-        if count.origin != origin.name() {
-            continue;
-        }
-
-        let kernel = Kernel::in_use(transform).name();
-        let same = host.iter().find(|row| {
-            (row.kernel, row.transform, row.m, row.window)
-                == (kernel, transform.name(), count.m, count.cut.as_str())
-        });
-        // A cut that is not measured here has no error to report.
-        let Some(same) = same else {
-            continue;
-        };
-        rows.push(Row {
-            target: "cortex-m4",
-            cost,
-            unit: "instructions/event",
-            cost_low: cost,
-            cost_high: cost,
-            events: count.events as usize,
-            ..same.clone()
-        });
-    }
-    Ok(rows)
-}
-
-/// One row over all windows for each kernel, transform, M and target: costs weighted by events, the
-/// largest error, and the mean square over all coefficients.
+/// One row over all windows for each kernel, transform, M and target, and one over their crowded
+/// pixels: costs weighted by events, the largest error, and the mean square over all coefficients.
 #[must_use]
 pub fn over_windows(rows: &[Row]) -> Vec<Row> {
     let mut merged: Vec<Row> = Vec::new();
@@ -385,11 +385,12 @@ pub fn over_windows(rows: &[Row]) -> Vec<Row> {
         let same = merged.iter_mut().find(|all| {
             (all.kernel, all.transform, all.m, all.target)
                 == (row.kernel, row.transform, row.m, row.target)
+                && all.is_crowded == row.is_crowded
         });
         match same {
             Some(all) => add(all, row),
             None => merged.push(Row {
-                window: "all",
+                window: if row.is_crowded { "all-crowded" } else { "all" }.into(),
                 ..row.clone()
             }),
         }
@@ -421,7 +422,7 @@ mod tests {
         transform: "dct",
         m: 8,
         target: "host",
-        window: "a",
+        window: Cow::Borrowed("a"),
         cost: 10.0,
         unit: "ns/event",
         cost_low: 9.0,
@@ -429,6 +430,7 @@ mod tests {
         max_error: Some(1.0),
         rms_error: Some(0.5),
         pareto: false,
+        is_crowded: false,
         events: 100,
         coefficients: 10,
     };
@@ -444,7 +446,7 @@ mod tests {
     #[test]
     fn windows_are_merged_by_their_events_and_coefficients() {
         let other = Row {
-            window: "b",
+            window: Cow::Borrowed("b"),
             cost: 20.0,
             max_error: Some(3.0),
             rms_error: Some(1.0),
@@ -455,7 +457,7 @@ mod tests {
         let [all] = &over_windows(&[ROW, other])[..] else {
             panic!("one row");
         };
-        assert_eq!((all.window, all.events), ("all", 400));
+        assert_eq!((&*all.window, all.events), ("all", 400));
         assert!((all.cost - 17.5).abs() < 1e-12);
         assert_eq!(all.max_error, Some(3.0));
         let rms = ((0.25 * 10.0 + 30.0) / 40.0_f64).sqrt();

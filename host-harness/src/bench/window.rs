@@ -11,6 +11,9 @@ use crate::reference;
 use crate::reference::transform as oracle;
 use crate::reference::window::{HOST_CAPACITY, windows};
 
+/// Events of a crowded pixel at the least.
+pub const CROWDED_EVENTS: usize = 16;
+
 /// One window's pixels, in raster order.
 #[derive(Debug, Clone)]
 pub struct Window {
@@ -103,6 +106,35 @@ impl Windows {
             name: cut.name,
             windows,
             events,
+        })
+    }
+
+    /// The pixels of less than [`CROWDED_EVENTS`], and the crowded ones, in order.
+    #[must_use]
+    pub fn parts(&self) -> [Self; 2] {
+        [false, true].map(|crowded| {
+            let part = |window: &Window| {
+                let (mut impulses, mut oracles, mut ends) = (Vec::new(), Vec::new(), Vec::new());
+                for pixel in window.pixels() {
+                    if (pixel.impulses.len() >= CROWDED_EVENTS) == crowded {
+                        impulses.extend_from_slice(pixel.impulses);
+                        oracles.extend_from_slice(pixel.oracles);
+                        ends.push(impulses.len());
+                    }
+                }
+                Window {
+                    impulses,
+                    oracles,
+                    ends,
+                    ..*window
+                }
+            };
+            let windows: Vec<Window> = self.windows.iter().map(part).collect();
+            Self {
+                name: self.name,
+                events: windows.iter().map(|window| window.impulses.len()).sum(),
+                windows,
+            }
         })
     }
 

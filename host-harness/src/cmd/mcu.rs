@@ -140,7 +140,9 @@ impl Mcu {
         };
         let image = match &self.image {
             Some(image) => image.clone(),
-            None => image::build(self.machine)?,
+            None => {
+                image::build(self.machine, "encoder").context("no image; --image names another")?
+            }
         };
         let sizes = ImageSizes::read(&image)?;
         let mut qemu = Qemu::start(self.machine, &image, self.log)?;

@@ -13,22 +13,21 @@ use super::qemu::Machine;
 /// The firmware beside these sources.
 const FIRMWARE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware");
 
-/// Builds the encoder's image for a machine and returns its path.
+/// Builds an image for a machine, by the name of its program, and returns its path.
 ///
 /// # Errors
 /// No sources of the firmware, or a build that fails: what it said is on stderr.
-pub fn build(machine: Machine) -> Result<PathBuf> {
+pub fn build(machine: Machine, program: &str) -> Result<PathBuf> {
     let scripts = [FIRMWARE, "firmware"].map(|folder| Path::new(folder).join("build.sh"));
     let Some(script) = scripts.iter().find(|script| script.is_file()) else {
         bail!(
-            "no sources of the firmware in {FIRMWARE} or ./firmware: run this in the project's \
-             folder, or name an image with --image"
+            "no sources of the firmware in {FIRMWARE} or ./firmware: run this in the project's folder"
         );
     };
     let name = script.display();
     let watched = stderr().is_terminal();
     let output = Command::new(script)
-        .args([machine.name(), "encoder"])
+        .args([machine.name(), program])
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(if watched {
@@ -41,14 +40,14 @@ pub fn build(machine: Machine) -> Result<PathBuf> {
     if !output.status.success() {
         eprint!("{}", String::from_utf8_lossy(&output.stderr));
         bail!(
-            "{name} {} encoder: failed ({})",
+            "{name} {} {program}: failed ({})",
             machine.name(),
             output.status
         );
     }
     let said = String::from_utf8_lossy(&output.stdout);
     let folder = said.lines().last().unwrap_or_default();
-    let image = Path::new(folder).join("encoder");
+    let image = Path::new(folder).join(program);
     if !image.is_file() {
         bail!("{}: {name} has not built it", image.display());
     }

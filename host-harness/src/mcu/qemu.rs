@@ -47,6 +47,91 @@ impl Machine {
     }
 }
 
+/// What was started, or how to get it.
+fn installed<T>(started: std::io::Result<T>) -> Result<T> {
+    match started {
+        Err(error) if error.kind() == ErrorKind::NotFound => bail!(
+            "{PROGRAM} is not installed: get it with `apt-get install qemu-system-arm` (Debian, \
+             Ubuntu), `dnf install qemu-system-arm` (Fedora) or `brew install qemu` (macOS)"
+        ),
+        other => other.with_context(|| format!("starting {PROGRAM}")),
+    }
+}
+
+/// Whether QEMU is there.
+///
+/// # Errors
+/// It is not.
+pub fn find() -> Result<()> {
+    let version = Command::new(PROGRAM).arg("--version").output();
+    installed(version).map(|_| ())
+}
+
+/// Runs an image, which may read the files of `folder`, to its end and returns what it printed. One
+/// instruction takes 1 ns of the machine's time; nothing is at its UART.
+///
+/// # Errors
+/// QEMU is not installed, the image fails or takes longer than `patience`.
+pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) -> Result<String> {
+    let name = image.display();
+    let image = image
+        .canonicalize()
+        .with_context(|| format!("{name}: no such image"))?;
+    let started = Command::new(PROGRAM)
+        .args(["-M", machine.name()])
+        .args(["-display", "none", "-monitor", "none", "-serial", "null"])
+        .args(["-icount", "shift=0"])
+        .args(["-semihosting-config", "enable=on,target=native"])
+        .arg("-kernel")
+        .arg(&image)
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    let mut child = installed(started)?;
+    let readers = [
+        child.stdout.take().map(|stream| follow(Box::new(stream))),
+        child.stderr.take().map(|stream| follow(Box::new(stream))),
+    ];
+    let started = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait().context(PROGRAM)? {
+            break Some(status);
+        }
+        if started.elapsed() > patience {
+            // Fails only where it has ended already.
+            let _ = child.kill();
+            let _ = child.wait();
+            break None;
+        }
+        thread::sleep(Duration::from_millis(10));
+    };
+    let [stdout, stderr] = readers.map(|reader| {
+        reader
+            .and_then(|reader| reader.join().ok())
+            .unwrap_or_default()
+    });
+    match status {
+        Some(status) if status.success() => Ok(stdout),
+        Some(status) => {
+            let said = [&stderr, &stdout].map(|text| text.lines().last().unwrap_or_default());
+            bail!("{name}: the image failed ({status}): {}", said.join(" "))
+        }
+        None => bail!("{name}: the image has not ended after {patience:?}"),
+    }
+}
+
+/// Reads a stream to its end, in a thread of its own.
+fn follow(mut stream: Box<dyn Read + Send>) -> JoinHandle<String> {
+    thread::spawn(move || {
+        let mut text = Vec::new();
+        // Whatever could be read is what there is to tell.
+        let _ = stream.read_to_end(&mut text);
+        String::from_utf8_lossy(&text).into_owned()
+    })
+}
+
 /// A running emulator; killed when dropped.
 pub struct Qemu {
     child: Child,
@@ -87,13 +172,7 @@ impl Qemu {
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn();
-        let mut child = match started {
-            Err(error) if error.kind() == ErrorKind::NotFound => bail!(
-                "{PROGRAM} is not installed: get it with `apt-get install qemu-system-arm` (Debian, \
-                 Ubuntu), `dnf install qemu-system-arm` (Fedora) or `brew install qemu` (macOS)"
-            ),
-            other => other.with_context(|| format!("starting {PROGRAM}"))?,
-        };
+        let mut child = installed(started)?;
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
         let lines = LogLines::default();
         let log = stdout.map(|mut stdout| {

@@ -1,4 +1,5 @@
-//! Run time against error of every kernel, a panel for each transform.
+//! Run time against error of every kernel: a row of panels for each target, a panel for each
+//! transform.
 //!
 //! Both axes are logarithmic. A kernel has a colour of the Okabe-Ito set and a point for each M; a
 //! point on the front of its M is filled, and a line joins those of one M. An error of 0 stands at
@@ -13,7 +14,10 @@ use super::picture_backend::PictureBackend;
 use crate::bench::Row;
 
 const WIDTH: u32 = 1200;
-const HEIGHT: u32 = 520;
+/// Title and key.
+const HEAD: u32 = 62;
+/// A row of panels.
+const ROW: u32 = 458;
 /// Pixels of the PNG for one of the SVG.
 pub(super) const PNG_SCALE: i32 = 2;
 
@@ -32,6 +36,12 @@ pub(super) const COLOURS: [(&str, RGBColor); 9] = [
     ("voxel-bilinear", VOXEL),
 ];
 const VOXEL: RGBColor = RGBColor(150, 110, 60);
+/// Targets, and what stands above their panels.
+const TARGETS: [(&str, &str); 3] = [
+    ("host", "host"),
+    ("cortex-m4", "Cortex-M4"),
+    ("cortex-m7", "Cortex-M7"),
+];
 const PANELS: [(&str, &str); 3] = [("dct", "DCT"), ("dtft", "DTFT"), ("dwt", "Haar DWT")];
 
 /// The chart as SVG text.
@@ -39,11 +49,12 @@ const PANELS: [(&str, &str); 3] = [("dct", "DCT"), ("dtft", "DTFT"), ("dwt", "Ha
 /// # Errors
 /// A cost that is not above 0, or an error that is not a number.
 pub fn svg(title: &str, rows: &[Row]) -> Result<String> {
-    let axes = Axes::new(rows)?;
+    let targets = targets(rows)?;
     let mut svg = String::new();
     {
-        let area = SVGBackend::with_string(&mut svg, (WIDTH, HEIGHT)).into_drawing_area();
-        draw(&area, title, rows, axes, 1)
+        let size = (WIDTH, height(&targets));
+        let area = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        draw(&area, title, &targets, 1)
             .map_err(|error| anyhow!("the chart cannot be drawn: {error}"))?;
     }
     Ok(svg)
@@ -54,15 +65,43 @@ pub fn svg(title: &str, rows: &[Row]) -> Result<String> {
 /// # Errors
 /// As [`svg`].
 pub fn picture(title: &str, rows: &[Row]) -> Result<Picture> {
-    let axes = Axes::new(rows)?;
+    let targets = targets(rows)?;
     let side = |side: u32| side as usize * PNG_SCALE as usize;
-    let mut picture = Picture::new(side(WIDTH), side(HEIGHT), [255; 3]);
+    let mut picture = Picture::new(side(WIDTH), side(height(&targets)), [255; 3]);
     {
         let area = PictureBackend(&mut picture).into_drawing_area();
-        draw(&area, title, rows, axes, PNG_SCALE)
+        draw(&area, title, &targets, PNG_SCALE)
             .map_err(|error| anyhow!("the chart cannot be drawn: {error}"))?;
     }
     Ok(picture)
+}
+
+/// The rows of a target.
+struct Target<'r> {
+    name: &'static str,
+    rows: Vec<&'r Row>,
+    axes: Axes,
+}
+
+/// The targets that have rows; the first of all where none has.
+fn targets(rows: &[Row]) -> Result<Vec<Target<'_>>> {
+    let mut targets = Vec::new();
+    for (target, name) in TARGETS {
+        let here: Vec<&Row> = rows.iter().filter(|row| row.target == target).collect();
+        if here.is_empty() && !(rows.is_empty() && targets.is_empty()) {
+            continue;
+        }
+        targets.push(Target {
+            name,
+            axes: Axes::new(&here)?,
+            rows: here,
+        });
+    }
+    Ok(targets)
+}
+
+fn height(targets: &[Target<'_>]) -> u32 {
+    HEAD + ROW * targets.len() as u32
 }
 
 /// Ends of both axes.
@@ -75,7 +114,7 @@ struct Axes {
 }
 
 impl Axes {
-    fn new(rows: &[Row]) -> Result<Self> {
+    fn new(rows: &[&Row]) -> Result<Self> {
         let (mut costs, mut errors) = ((f64::INFINITY, 0.0_f64), (f64::INFINITY, 0.0_f64));
         for row in rows {
             ensure!(
@@ -155,22 +194,28 @@ pub(super) type Drawn<B> =
 fn draw<B: DrawingBackend>(
     area: &DrawingArea<B, Shift>,
     title: &str,
-    rows: &[Row],
-    axes: Axes,
+    targets: &[Target<'_>],
     scale: i32,
 ) -> Drawn<B>
 where
     B::ErrorType: 'static,
 {
     area.fill(&WHITE)?;
-    let (head, panels) = area.split_vertically(62 * scale);
+    let (head, mut rest) = area.split_vertically(HEAD as i32 * scale);
     head.draw_text(title, &text(14, scale), (14 * scale, 10 * scale))?;
     let names = COLOURS.iter().map(|(name, _)| *name);
-    let here = names.filter(|name| rows.iter().any(|row| row.kernel == *name));
+    let here = names.filter(|name| {
+        let mut rows = targets.iter().flat_map(|target| &target.rows);
+        rows.any(|row| row.kernel == *name)
+    });
     let entries: Vec<_> = here.map(|name| (name, name.to_owned())).collect();
     legend(&head, &entries, 46, (12, scale))?;
-    for (panel, (transform, name)) in panels.split_evenly((1, 3)).iter().zip(PANELS) {
-        draw_panel(panel, (transform, name), rows, axes, scale)?;
+    for target in targets {
+        let panels;
+        (panels, rest) = rest.split_vertically(ROW as i32 * scale);
+        for (panel, transform) in panels.split_evenly((1, 3)).iter().zip(PANELS) {
+            draw_panel(panel, transform, target, scale)?;
+        }
     }
     area.present()
 }
@@ -203,16 +248,16 @@ where
 fn draw_panel<B: DrawingBackend>(
     panel: &DrawingArea<B, Shift>,
     (transform, name): (&str, &str),
-    rows: &[Row],
-    axes: Axes,
+    target: &Target<'_>,
     scale: i32,
 ) -> Drawn<B>
 where
     B::ErrorType: 'static,
 {
+    let Target { rows, axes, .. } = target;
     let unit = rows.first().map_or("ns/event", |row| row.unit);
     let mut chart = ChartBuilder::on(panel)
-        .caption(name, text(14, scale))
+        .caption(format!("{name}, {}", target.name), text(14, scale))
         .margin(8 * scale)
         .margin_right(16 * scale)
         .x_label_area_size(40 * scale)
@@ -283,7 +328,7 @@ mod tests {
             transform: if max_error.is_some() { "dct" } else { "none" },
             m,
             target: "host",
-            window: "all",
+            window: "all".into(),
             cost,
             unit: "ns/event",
             cost_low: cost,
@@ -291,6 +336,7 @@ mod tests {
             max_error,
             rms_error: max_error,
             pareto: kernel == "table",
+            is_crowded: false,
             events: 1,
             coefficients: 1,
         }
@@ -319,6 +365,29 @@ mod tests {
         let has =
             |colour| (0..2400).any(|x| (0..1040).any(|y| picture.pixel(x, y) == Some(colour)));
         assert!(has([0, 114, 178]) && has([230, 159, 0]) && !has([213, 94, 0]));
+    }
+
+    #[test]
+    fn every_target_has_its_panels() {
+        let mcu = Row {
+            target: "cortex-m4",
+            unit: "instructions/event",
+            ..row("table", 8, 3000.0, Some(1e-4))
+        };
+        let rows = [row("table", 8, 3.0, Some(1e-4)), mcu];
+        let svg = svg("title", &rows).unwrap();
+        for text in [
+            "DCT, host",
+            "DCT, Cortex-M4",
+            "ns/event",
+            "instructions/event",
+        ] {
+            assert!(svg.contains(text), "{text}");
+        }
+        assert!(!svg.contains("Cortex-M7"));
+        let height = |rows: &[Row]| picture("title", rows).unwrap().height();
+        assert_eq!(height(&rows), 2 * (62 + 2 * 458));
+        assert_eq!(height(&rows[1..]), 2 * (62 + 458));
     }
 
     #[test]

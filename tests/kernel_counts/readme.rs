@@ -1,0 +1,114 @@
+//! The saved counts as the README's table, between two marks in it.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use anyhow::Context;
+use host_harness::bench::mcu::{Count, Part};
+
+const BEGIN: &str = "<!-- kernels: firmware/kernels.sh --save writes what is below -->\n";
+const END: &str = "<!-- kernels end -->\n";
+const TRANSFORMS: [(&str, &str); 3] = [("dct", "DCT"), ("dtft", "DTFT"), ("dwt", "Haar DWT")];
+const TARGETS: [(&str, &str); 2] = [("cortex-m4", "Cortex-M4"), ("cortex-m7", "Cortex-M7")];
+const M: [u8; 2] = [8, 16];
+
+/// Writes the table of `counts` into the README at `path`.
+pub fn write(counts: &[Count], path: &Path) -> anyhow::Result<()> {
+    let name = path.display();
+    let text = fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
+    let text = with_table(&text, counts).with_context(|| format!("{name}: the marks are gone"))?;
+    fs::write(path, text).with_context(|| format!("{name}: cannot be written"))
+}
+
+fn with_table(text: &str, counts: &[Count]) -> Option<String> {
+    let (before, rest) = text.split_once(BEGIN)?;
+    let (_, after) = rest.split_once(END)?;
+    Some(format!("{before}{BEGIN}{}{END}{after}", table(counts)))
+}
+
+/// Over the cuts of recordings, by events.
+fn table(counts: &[Count]) -> String {
+    let mut text = String::from("| all pixels (crowded ones) |");
+    for (_, target) in TARGETS {
+        for m in M {
+            let _ = write!(text, " {target}, M = {m} |");
+        }
+    }
+    text += "\n|---|---|---|---|---|\n";
+    for (transform, name) in TRANSFORMS {
+        let mut kernels: Vec<&str> = Vec::new();
+        for count in counts.iter().filter(|count| count.transform == transform) {
+            if !kernels.contains(&count.kernel.as_str()) {
+                kernels.push(&count.kernel);
+            }
+        }
+        for kernel in kernels {
+            let _ = write!(text, "| {name}, {kernel} |");
+            for (target, _) in TARGETS {
+                for m in M {
+                    let of = |part: fn(&Count) -> Part| {
+                        let mut sum = Part::default();
+                        for count in counts {
+                            let (t, origin, _, k, tr, count_m) = count.key();
+                            if (t, origin, k, tr, count_m)
+                                == (target, "recordings", kernel, transform, m)
+                            {
+                                let part = part(count);
+                                sum.events += part.events;
+                                sum.instructions += part.instructions;
+                            }
+                        }
+                        thousands(sum.per_event())
+                    };
+                    let _ = write!(
+                        text,
+                        " {} ({}) |",
+                        of(|count| count.all),
+                        of(|count| count.crowded)
+                    );
+                }
+            }
+            text.push('\n');
+        }
+    }
+    text
+}
+
+/// A whole number, in groups of three digits.
+fn thousands(value: f64) -> String {
+    let whole = value.round() as u64;
+    match whole {
+        0..1000 => whole.to_string(),
+        _ => format!("{},{:03}", whole / 1000, whole % 1000),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_readme_has_the_saved_counts() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let counts = crate::file::read(&root.join("firmware/kernels.json")).unwrap();
+        let readme = fs::read_to_string(root.join("README.md")).unwrap();
+        let expected = with_table(&readme, &counts).expect("the marks");
+        assert!(
+            readme == expected,
+            "the README's table is not that of firmware/kernels.json"
+        );
+    }
+
+    #[test]
+    fn digits_are_grouped() {
+        for (value, text) in [
+            (0.4, "0"),
+            (999.4, "999"),
+            (1000.0, "1,000"),
+            (35_365.3, "35,365"),
+        ] {
+            assert_eq!(thousands(value), text);
+        }
+    }
+}
