@@ -101,57 +101,118 @@ pub fn largest(keys: &[u32], r: usize, kept: &mut Kept) {
     if r == 0 {
         return;
     }
-    if keys.len() <= 32 {
-        kept.words[0] |= largest_of_32(keys, r as u32);
-    } else {
-        largest_of_many(keys, r, kept);
+    match keys.len() {
+        ..=16 => kept.words[0] |= largest_of::<4>(keys, r as u32),
+        ..=32 => kept.words[0] |= largest_of::<8>(keys, r as u32),
+        _ => largest_of_many(keys, r, kept),
     }
 }
 
-/// [`largest`] of up to 32 keys, as a bit per key; `r` is 1 to one less than their number.
+/// [`largest`] of up to 4W keys, as a bit per key; `r` is 1 to one less than their number.
 ///
-/// Bisects for a value that exactly `r` of the keys exceed. Counting takes the same few instructions
-/// per key whatever they are, where a selection's branches and exchanges take more.
+/// Bisects for a value that exactly `r` of the keys reach, on the upper 7 bits of each, four to a
+/// word: a bit more than them is left after a subtraction where the key is not below the value.
+/// Counting takes the same few instructions whatever the keys are, where a selection's branches and
+/// exchanges take more. Keys that 7 bits do not tell apart are compared whole.
 #[inline(never)]
-fn largest_of_32(keys: &[u32], r: u32) -> u32 {
-    let count = |value: u32| keys.iter().map(|key| u32::from(*key > value)).sum::<u32>();
-    let above = |value: u32| {
-        let keys = keys.iter().rev();
-        keys.fold(0, |bits, key| (bits << 1) | u32::from(*key > value))
-    };
-    // More than r keys exceed `low`, where it is not 0, and fewer exceed `high`.
-    let (mut low, mut high) = (0, keys.iter().fold(0, |most, key| most.max(*key)));
-    // Half of a set is often next to its mean.
-    let mean = keys
-        .iter()
-        .fold(0_u32, |sum, key| sum.wrapping_add(key / 32));
-    let mut value = mean.saturating_mul(2).min(high);
-    while high - low > 1 {
-        let count = count(value);
+fn largest_of<const W: usize>(keys: &[u32], r: u32) -> u32 {
+    let most = keys.iter().fold(0, |most, key| most | key);
+    let shift = 25_u32.saturating_sub(most.leading_zeros());
+    let lanes = Lanes::<W>::new(keys, shift);
+    // More than r keys reach `low`, fewer reach `high`: all reach 0, and none has an eighth bit.
+    let (mut low, mut high) = (0, 128);
+    let mut value = FIRST_VALUE;
+    loop {
+        let reach = lanes.reach(value);
+        let count = Lanes::count(&reach);
         if count == r {
-            return above(value);
+            return Lanes::bits(&reach);
         }
         if count > r {
             low = value;
         } else {
             high = value;
         }
-        value = low + (high - low) / 2;
+        if high - low == 1 {
+            break;
+        }
+        value = low.midpoint(high);
     }
-    // The places left go to the equals of `high`, or of 0 where fewer than r exceed that.
-    let exceed_low = above(low);
-    let (mut kept, mut equal) = if exceed_low.count_ones() < r {
-        (exceed_low, !exceed_low)
-    } else {
-        let kept = above(high);
-        (kept, exceed_low & !kept)
-    };
+    let mut kept = Lanes::bits(&lanes.reach(high));
+    // Lanes without a key reach 0 too.
+    let all = u32::MAX >> (32 - keys.len() as u32).min(31);
+    let mut equal = Lanes::bits(&lanes.reach(low)) & all & !kept;
     for _ in kept.count_ones()..r {
-        let lowest = equal & equal.wrapping_neg();
-        kept |= lowest;
-        equal ^= lowest;
+        let (mut best, mut best_key, mut rest) = (0, 0, equal);
+        while rest != 0 {
+            let bit = rest & rest.wrapping_neg();
+            rest ^= bit;
+            let key = keys.get(bit.trailing_zeros() as usize).copied();
+            let key = key.unwrap_or_default();
+            if best == 0 || key > best_key {
+                (best, best_key) = (bit, key);
+            }
+        }
+        kept |= best;
+        equal ^= best;
     }
     kept
+}
+
+/// Where the search begins: squares of magnitudes have their middle far below their largest.
+const FIRST_VALUE: u32 = 24;
+
+/// Keys of 7 bits, four to a word, with the highest bit of each byte set.
+struct Lanes<const W: usize>([u32; W]);
+
+impl<const W: usize> Lanes<W> {
+    const HIGHEST: u32 = 0x8080_8080;
+
+    /// `shift` leaves 7 bits of every key.
+    #[inline(always)]
+    fn new(keys: &[u32], shift: u32) -> Self {
+        let word = |[a, b, c, d]: [u32; 4]| {
+            let [a, b, c, d] = [a, b, c, d].map(|key| key >> (shift & 31));
+            Self::HIGHEST | a | (b << 8) | (c << 16) | (d << 24)
+        };
+        let mut words = [Self::HIGHEST; W];
+        let (fours, rest) = keys.as_chunks::<4>();
+        for (to, keys) in words.iter_mut().zip(fours) {
+            *to = word(*keys);
+        }
+        if !rest.is_empty()
+            && let Some(to) = words.get_mut(fours.len())
+        {
+            let key = |i: usize| rest.get(i).copied().unwrap_or_default();
+            *to = word([key(0), key(1), key(2), 0]);
+        }
+        Self(words)
+    }
+
+    /// 1 in the byte of every key that is `value`, 0 to 127, or more.
+    #[inline(always)]
+    fn reach(&self, value: u32) -> [u32; W] {
+        let values = value * 0x0101_0101;
+        self.0
+            .map(|word| (word.wrapping_sub(values) & Self::HIGHEST) >> 7)
+    }
+
+    /// How many bytes of `reach` are 1.
+    #[inline(always)]
+    fn count(reach: &[u32; W]) -> u32 {
+        let sum = reach.iter().fold(0, |sum, word| sum + word);
+        sum.wrapping_mul(0x0101_0101) >> 24
+    }
+
+    /// A bit for every byte of `reach`.
+    #[inline(always)]
+    fn bits(reach: &[u32; W]) -> u32 {
+        let four = |word: &u32| word.wrapping_mul(0x0102_0408) >> 24;
+        reach
+            .iter()
+            .rev()
+            .fold(0, |bits, word| (bits << 4) | four(word))
+    }
 }
 
 /// [`largest`] of any number.
