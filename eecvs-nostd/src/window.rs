@@ -101,9 +101,10 @@ const _: () = assert!(SLOTS_MAX <= NO_SLOT as usize);
 /// The head of an empty list.
 pub(crate) const NO_HEAD: Head = NO_SLOT as Head;
 
-/// Most slots of a window on this target: [`EVENTS_MAX`], or what a [`Head`] can address.
-pub const SLOTS_MAX: usize = if (Head::MAX as usize) < EVENTS_MAX {
-    Head::MAX as usize
+/// Most slots of a window on this target: [`EVENTS_MAX`], or what a [`Head`] can address with a bit
+/// to spare, which is the sign that ends a list.
+pub const SLOTS_MAX: usize = if (Head::MAX as usize >> 1) < EVENTS_MAX {
+    Head::MAX as usize >> 1
 } else {
     EVENTS_MAX
 };
@@ -169,9 +170,7 @@ impl<'b> WindowBuffers<'b> {
                 .filter_map(move |share| {
                     let (bitmap, share) = share.split_at_mut_checked(bitmap_words)?;
                     let (heads, share) = share.split_at_mut_checked(heads_words)?;
-                    let events = (share.len() / SLOT_WORDS)
-                        .min(Head::MAX as usize)
-                        .min(EVENTS_MAX);
+                    let events = (share.len() / SLOT_WORDS).min(SLOTS_MAX);
                     let (slots, _) =
                         <[Slot]>::mut_from_prefix_with_elems(share.as_mut_bytes(), events).ok()?;
                     let (heads, _) =
@@ -601,6 +600,12 @@ impl<'b> Window<'b> {
     #[inline]
     pub(crate) const fn slots(&mut self) -> &mut [Slot] {
         self.slots
+    }
+
+    /// Slots, heads, and segments in a row, for assembly.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn parts(&mut self) -> (&mut [Slot], &mut [Head], NonZeroU32) {
+        (self.slots, self.heads, self.stride)
     }
 
     /// Position of a segment's first pixel.
