@@ -16,8 +16,14 @@ use crate::group::{Entry, Group};
 use crate::pack::Packer;
 use crate::phase::PhaseScale;
 use crate::transform::rows::{self, Lines};
-use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_HEAD, NO_SLOT, Slot};
+use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, Slot};
 use crate::window::{SLOTS_MAX, Window};
+
+/// Words that a pixel takes at the most in the assembly: 32 bits of place and width, 71 of levels, and
+/// 31 that were there before. A single event's are fewer, whatever its gap.
+const WORDS_MAX: usize = 4;
+/// Where a slot has the next one.
+const NEXT_AT: usize = 6;
 
 /// What the assembly knows. The first part is copied to its stack, and back from `base` on.
 #[repr(C)]
@@ -38,8 +44,8 @@ struct Walk<'w, 's, 'o> {
     /// Bits of a level of one event, less 2.
     level_bits: u32,
     counts: *const [u32; CHUNK_EVENTS + 1],
-    /// 2 2^g + 1: twice the gap more, and zeros before, is a gap's code of order g.
-    gap: u32,
+    /// The same for one that the assembly leaves to [`seven_long`].
+    limit_long: *mut [u8; 4],
     heads: *mut Head,
     /// Segments in a row, and the columns that they have beyond the sensor's.
     stride: u32,
@@ -47,16 +53,23 @@ struct Walk<'w, 's, 'o> {
     entries: *mut Entry,
     /// Raster index of the first column of the segment at hand.
     base: u32,
-    /// Raster index after the last pixel's.
-    next_index: u32,
+    /// From the index after the last pixel's to that.
+    since: u32,
     /// Of 32 segments, those still to be visited.
     segments: u32,
     /// The first of them.
     first_segment: u32,
-    /// The one at hand.
-    segment: u32,
-    /// Its columns that were not visited, the first one highest.
+    /// Raster index after the last pixel's, at the end.
+    next_index: u32,
+    /// The segment's columns that were not visited, the first one highest.
     columns: u32,
+    /// Where slots have their links, and where these have the next slot.
+    links: *mut u8,
+    nexts: *mut u8,
+    /// 2 2^g + 1: twice the gap more, and zeros before, is a gap's code of order g.
+    gap: u32,
+    /// As above.
+    slots_again: *mut Slot,
     // Not copied.
     position: *mut Position,
     words: *mut [u8; 4],
@@ -86,7 +99,13 @@ pub fn walk(
     let width = u32::from(window.config().sensor.width);
     let (x, y) = (group.segment_x, group.segment_y);
     let columns = group.columns.reverse_bits();
+    let base = if columns == 0 {
+        next_index
+    } else {
+        u32::from(y) * width + u32::from(x)
+    };
     let (slots, heads, stride) = window.parts();
+    let slots_at: *mut u8 = slots.as_mut_ptr().cast();
     let writer: *mut BitWriter<'_> = writer;
     // SAFETY: the pointer is that of the reference; both parts are reached through it alone.
     let (position, words, words_len) = unsafe { BitWriter::raw_parts(writer) };
@@ -97,25 +116,25 @@ pub fn walk(
         reciprocal,
         cell_shift: 31 - cells_log2,
         single_bits: 33 + cells_log2,
-        limit: words.wrapping_add(words_len.saturating_sub(room)),
+        limit: words.wrapping_add(words_len.saturating_sub(WORDS_MAX)),
         level_shift,
         level_bits: one_bits.wrapping_sub(2),
         counts: &COUNTS,
-        gap: (2 << order) + 1,
+        limit_long: words.wrapping_add(words_len.saturating_sub(room)),
         heads: heads.as_mut_ptr(),
         stride: stride.get(),
         beyond: (stride.get() << COLUMN_BITS) - width,
         entries: group.entries.as_mut_ptr(),
-        base: if columns == 0 {
-            next_index
-        } else {
-            u32::from(y) * width + u32::from(x)
-        },
-        next_index,
+        base,
+        since: base.wrapping_sub(next_index),
         segments: group.segments,
         first_segment: group.first_segment,
-        segment: u32::MAX,
+        next_index,
         columns,
+        links: slots_at.wrapping_add(NEXT_AT - 2),
+        nexts: slots_at.wrapping_add(NEXT_AT),
+        gap: (2 << order) + 1,
+        slots_again: slots.as_mut_ptr(),
         position,
         words,
         sums: [0; 7],
@@ -133,13 +152,13 @@ pub fn walk(
     // there. The build script sets `eecvs_dsp` only for cores that have the instructions.
     let counts = unsafe { walk_columns(&mut walk) };
     // SAFETY: the references that they were made of are not used before this.
-    let (group, window, packer) =
-        unsafe { (&mut *walk.group, &mut *walk.window, &mut *walk.packer) };
+    let (group, packer) = unsafe { (&mut *walk.group, &mut *walk.packer) };
     group.segments = walk.segments;
     group.first_segment = walk.first_segment;
     group.columns = walk.columns.reverse_bits();
-    if walk.segment != u32::MAX {
-        (group.segment_x, group.segment_y) = window.segment_origin(walk.segment);
+    if walk.columns != 0 {
+        let y = walk.base / width;
+        (group.segment_x, group.segment_y) = ((walk.base - y * width) as u16, y as u16);
     }
     packer.go_to(walk.next_index);
     (counts & 0xffff, counts >> 16)
@@ -164,12 +183,12 @@ static COUNTS: [u32; CHUNK_EVENTS + 1] = {
 };
 
 // What the assembly takes for granted. Both counts fit half a word, and a link's sign tells the end.
-const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT == 0xffff && NO_HEAD == 0xffff);
+const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000);
 const _: () = assert!(size_of::<Slot>() == 8 && NEXT_SHIFT == 16 && CHUNK_EVENTS == 64);
 const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, tally) == 4);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, base) == 60);
-const _: () = assert!(offset_of!(Walk<'_, '_, '_>, position) == 84);
-const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 92);
+const _: () = assert!(offset_of!(Walk<'_, '_, '_>, position) == 100);
+const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 108);
 
 /// Goes to the next 32 segments of which some have events; returns those, 0 where there are none.
 unsafe extern "C" fn next_segments(walk: &mut Walk<'_, '_, '_>, first: &mut u32) -> u32 {
@@ -301,7 +320,7 @@ macro_rules! event {
     };
 }
 
-/// From sums, in r4 to r10, to levels, of which r2 has the shift; r1: 2^r0, lr: half of it.
+/// From sums, in r4 to r10, to levels, of which r2 has the shift; r1: 2^r0, r11: half of it.
 macro_rules! levels {
     () => {
         "asr r4, r4, r2
@@ -311,9 +330,9 @@ macro_rules! levels {
         asr r8, r8, r2
         asr r9, r9, r2
         asr r10, r10, r2
-        mov lr, #1
-        lsl r1, lr, r0
-        lsr lr, r1, #1"
+        mov r11, #1
+        lsl r1, r11, r0
+        lsr r11, r1, #1"
     };
 }
 
@@ -329,54 +348,52 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         // | columns from r7's on, the first one highest | gap | slots | next entry | 0 | bits of the
         // next word | the bit after them | pixels, events and 2^15 | where the word goes |
         //
-        // At sp: the walk's first part; 88 r1 and r3 to r12; 132 code, 136 its bits; 140 walk.
+        // At sp: the walk's first part; 100 r1 and r3 to lr; 148 code, 152 its bits; 156 walk.
         "push {{r4-r11, lr}}",
-        "sub sp, #148",
-        "str r0, [sp, #140]",
+        "sub sp, #164",
+        "str r0, [sp, #156]",
         "mov lr, sp",
         "ldm r0!, {{r1-r11}}",
         "stm lr!, {{r1-r11}}",
-        "ldm r0!, {{r1-r10}}",
-        "stm lr!, {{r1-r10}}",
+        "ldm r0!, {{r1-r11}}",
+        "stm lr!, {{r1-r11}}",
+        "ldm r0, {{r1-r3}}",
+        "stm lr, {{r1-r3}}",
         "bl 40f",
         "mov r11, #0x8000",
         "mov r8, #0",
-        "ldr r5, [sp, #40]",
-        "ldr r6, [sp, #4]",
+        "ldrd r5, r6, [sp, #92]",
         "ldr r7, [sp, #56]",
         "ldr r4, [sp, #80]",
         "cmp r4, #0",
         "bne 13f",
-        // The next segment. r1: segments; r2: the first one, then the one.
+        // The next segment. r1: segments; r2: the first one, then the one; r4: index after the last
+        // pixel's.
         "6:",
         "ldrd r0, r1, [sp, #56]",
         "subs r7, r7, r0",
-        "add r1, r1, r7, lsr #3",
-        "str r1, [sp, #64]",
+        "add r4, r1, r7, lsr #3",
         "ldrd r1, r2, [sp, #68]",
-        "cmp r1, #0",
-        "beq 14f",
         "15:",
         "mov lr, #{first}",
         "clz r3, r1",
         "adds r2, r2, r3",
-        "lsr r3, lr, r3",
+        "lsrs r3, lr, r3",
+        "beq 14f",
         "eors r1, r3",
         "str r1, [sp, #68]",
-        "str r2, [sp, #76]",
         "ldrd r0, r1, [sp, #44]",
         "udiv r3, r2, r1",
         "ldrh r5, [r0, r2, lsl #1]",
-        "movw r1, #{no_head}",
-        "strh r1, [r0, r2, lsl #1]",
+        "strh r11, [r0, r2, lsl #1]",
         "ldrd r0, r7, [sp, #52]",
         "lsls r2, r2, #{column_bits}",
         "mls r2, r3, r0, r2",
-        "str r2, [sp, #60]",
+        "subs r4, r2, r4",
+        "strd r2, r4, [sp, #60]",
         // Its list, newest first, to the columns' lists, oldest first. r5: slot; r3: its link.
         "mov r4, #0",
-        "adds r6, #4",
-        "add r8, r6, #2",
+        "ldrd r6, r8, [sp, #84]",
         "3:",
         "ldr r3, [r6, r5, lsl #3]",
         "ubfx r0, r3, #{column_at}, #{column_bits}",
@@ -390,13 +407,11 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "strh r0, [r8, r5, lsl #3]",
         "asrs r5, r3, #16",
         "bpl 3b",
-        "ldr r5, [sp, #40]",
-        "subs r6, #4",
+        "ldrd r5, r6, [sp, #92]",
         "mov r8, #0",
         // The first pixel of a segment.
         "13:",
-        "ldrd r2, r3, [sp, #60]",
-        "subs r2, r2, r3",
+        "ldr r2, [sp, #64]",
         "clz r0, r4",
         "lsl r4, r4, r0",
         "add r7, r7, r0, lsl #3",
@@ -466,8 +481,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "add r11, r11, #0x10000",
         "lsrs r2, r3, #16",
         "add r11, r11, r2",
-        "add r0, sp, #88",
-        "stm r0, {{r1, r3-r12}}",
+        "add r0, sp, #100",
+        "stm r0, {{r1, r3-r12, lr}}",
         // r4: the gap's code; r6: its bits.
         "clz r6, r5",
         "clz r7, r1",
@@ -487,7 +502,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "adds r4, r4, r3",
         "sub r8, r8, r7",
         "add r8, r8, r9, lsr #24",
-        "strd r4, r8, [sp, #132]",
+        "strd r4, r8, [sp, #148]",
         event!("smuad", "", "", "", "", "", "", ""),
         "asr lr, lr, #16",
         "3:",
@@ -512,42 +527,41 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldr r2, [sp, #28]",
         "lsrs r0, r2",
         "clz r1, r0",
-        // r0: bits of a level; r3: the code; r11: its bits.
-        "ldrd r3, r11, [sp, #132]",
+        // r0: bits of a level; r3: the code; lr: its bits.
+        "ldrd r3, lr, [sp, #148]",
         "rsb r0, r1, #33",
-        "add r11, r11, r1",
+        "add lr, lr, r1",
         "cmp r0, #8",
         "bhi 11f",
-        "rsbs r1, r11, #32",
+        "rsbs r1, lr, #32",
         "blo 9f",
-        // The carry is 1 from here on. r1: 2^bits, lr: half of it.
+        // The carry is 1 from here on. r1: 2^bits, r11: half of it.
         levels!(),
         // Three levels side by side in r4, four in r7; r6: the highest bit of each.
         "mla r5, r6, r1, r5",
         "mla r4, r5, r1, r4",
-        "mla r6, lr, r1, lr",
-        "mla r6, r6, r1, lr",
+        "mla r6, r11, r1, r11",
+        "mla r6, r6, r1, r11",
         "mla r9, r10, r1, r9",
         "mla r8, r9, r1, r8",
         "mla r7, r8, r1, r7",
         // A negative level has borrowed from its neighbour, which half of a range more gives back.
         "add r4, r4, r6",
         "eor r4, r4, r6",
-        "mla r6, r6, r1, lr",
+        "mla r6, r6, r1, r11",
         "add r7, r7, r6",
         "eor r7, r7, r6",
         // Before the three, the 1 of the levels' width.
         "adc r4, r4, r4",
-        "adc lr, r0, r0, lsl #1",
-        "mov r5, r11",
-        "add r1, sp, #112",
+        "adc r5, r0, r0, lsl #1",
+        "add r1, sp, #124",
         "ldm r1, {{r8-r12}}",
-        put!("r3", "r5", "r10", "r1"),
-        put!("r4", "lr", "r1", "r2"),
+        put!("r3", "lr", "r10", "r1"),
+        put!("r4", "r5", "r1", "r2"),
         "lsls r0, r0, #2",
         put!("r7", "r0", "r2", "r10"),
         "17:",
-        "add r0, sp, #96",
+        "add r0, sp, #108",
         "ldm r0, {{r4-r7}}",
         "ldr r1, [sp, #24]",
         "cmp r12, r1",
@@ -559,42 +573,44 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "11:",
         "cmp r0, #10",
         "bhi 9f",
-        "rsbs r1, r11, #32",
+        "rsbs r1, lr, #32",
         "blo 9f",
         levels!(),
         "mla r5, r6, r1, r5",
         "mla r4, r5, r1, r4",
-        "mla r6, lr, r1, lr",
-        "mla r6, r6, r1, lr",
+        "mla r6, r11, r1, r11",
+        "mla r6, r6, r1, r11",
         "mla r8, r9, r1, r8",
         "mla r7, r8, r1, r7",
         "add r4, r4, r6",
         "eor r4, r4, r6",
         "add r7, r7, r6",
         "eor r7, r7, r6",
-        "add r6, r10, lr",
-        "eor r6, r6, lr",
+        "add r6, r10, r11",
+        "eor r6, r6, r11",
         "adc r4, r4, r4",
-        "adc lr, r0, r0, lsl #1",
-        "mov r5, r11",
-        "add r1, sp, #112",
+        "adc r5, r0, r0, lsl #1",
+        "add r1, sp, #124",
         "ldm r1, {{r8-r12}}",
-        put!("r3", "r5", "r10", "r1"),
-        "sub r5, lr, #1",
-        put!("r4", "lr", "r1", "r2"),
-        put!("r7", "r5", "r2", "r1"),
+        put!("r3", "lr", "r10", "r1"),
+        "sub lr, r5, #1",
+        put!("r4", "r5", "r1", "r2"),
+        put!("r7", "lr", "r2", "r1"),
         put!("r6", "r0", "r1", "r10"),
         "b 17b",
         // Rarely: wide levels or a long place.
         "9:",
-        "ldr r0, [sp, #140]",
+        "ldr r0, [sp, #156]",
         "adds r0, #{sums}",
         "stm r0, {{r4-r10}}",
-        "add r0, sp, #96",
+        "add r0, sp, #108",
         "ldm r0, {{r4-r12}}",
+        "ldr r0, [sp, #40]",
+        "cmp r12, r0",
+        "bhs 19f",
         "bl 41f",
-        "ldr r0, [sp, #140]",
-        "ldrd r1, r2, [sp, #88]",
+        "ldr r0, [sp, #156]",
+        "ldrd r1, r2, [sp, #100]",
         "bl {seven_long}",
         "b 10f",
         // A long gap. r3: as it was before it was turned.
@@ -602,11 +618,11 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldr r2, [sp, #20]",
         "sub r2, lr, r2",
         "rors r3, r2",
-        "strd r1, r3, [sp, #88]",
+        "strd r1, r3, [sp, #100]",
         "add r11, r11, #0x10001",
         "bl 41f",
-        "ldr r0, [sp, #140]",
-        "ldrd r1, r2, [sp, #88]",
+        "ldr r0, [sp, #156]",
+        "ldrd r1, r2, [sp, #100]",
         "bl {single_long}",
         "10:",
         "bl 40f",
@@ -618,16 +634,22 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "b 6b",
         // The next 32 segments.
         "14:",
-        "str r12, [sp, #128]",
-        "ldr r0, [sp, #140]",
+        "str r12, [sp, #140]",
+        "ldr r0, [sp, #156]",
         "add r1, sp, #72",
         "bl {next_segments}",
-        "ldr r12, [sp, #128]",
+        "ldr r12, [sp, #140]",
         "ldr r2, [sp, #72]",
         "movs r1, r0",
         "bne 15b",
-        "str r1, [sp, #80]",
+        "strd r4, r1, [sp, #76]",
         "b 18f",
+        // No room, should it be the longest.
+        "19:",
+        "ldrd r1, r3, [sp, #100]",
+        "ldr lr, [sp, #144]",
+        "sub r11, r11, #0x10000",
+        "sub r11, r11, r3, lsr #16",
         // More events than a chunk: as it was before the pixel.
         "16:",
         "strd lr, r3, [r7, #-8]!",
@@ -645,22 +667,21 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "lsrs r7, r7, #3",
         "adds r5, r5, r7",
         "adds r1, r1, r5",
-        "str r1, [sp, #64]",
         "lsrs r4, r7",
-        "str r4, [sp, #80]",
+        "strd r1, r4, [sp, #76]",
         "18:",
         "bl 41f",
-        "ldr r0, [sp, #140]",
+        "ldr r0, [sp, #156]",
         "adds r0, #60",
         "add r1, sp, #60",
         "ldm r1, {{r1-r6}}",
         "stm r0, {{r1-r6}}",
         "sub r0, r11, #0x8000",
-        "add sp, #148",
+        "add sp, #164",
         "pop {{r4-r11, pc}}",
         // r9, r10 and r12 from the writer's position.
         "40:",
-        "ldr r0, [sp, #140]",
+        "ldr r0, [sp, #156]",
         "ldrd r1, r2, [r0, #{position}]",
         "ldm r1, {{r1, r9, r10}}",
         "add r12, r2, r1, lsl #2",
@@ -670,7 +691,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "bx lr",
         // And back.
         "41:",
-        "ldr r0, [sp, #140]",
+        "ldr r0, [sp, #156]",
         "ldrd r1, r2, [r0, #{position}]",
         "sub r2, r12, r2",
         "lsrs r2, r2, #2",
@@ -685,7 +706,6 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         single_long = sym single_long,
         crowded = const (CHUNK_EVENTS + 1) << 16,
         first = const FIRST,
-        no_head = const NO_HEAD,
         column_at = const COLUMN_SHIFT,
         column_bits = const COLUMN_BITS,
         position = const offset_of!(Walk<'_, '_, '_>, position),
