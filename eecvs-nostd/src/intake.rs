@@ -136,7 +136,9 @@ mod arm {
 
     use super::Intake;
     use crate::evt2::{KIND_SHIFT, LOW_BITS, LOW_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, X_SHIFT};
-    use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_HEAD, SLOTS_MAX, Slot};
+    use crate::window::{
+        COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_HEAD, SLOTS_MAX, Slot,
+    };
 
     /// What [`take_words`] works on.
     #[repr(C)]
