@@ -40,6 +40,10 @@ pub struct Group {
     pub(crate) columns: u32,
     /// [`Entry::EMPTY`] where `columns` has no bit.
     pub(crate) entries: [Entry; 32],
+    /// The segment after that, and its list: on a large sensor both come from far away, and a host
+    /// asks for them before it needs them.
+    #[cfg(target_pointer_width = "64")]
+    ahead: Option<(u32, u32)>,
 }
 
 /// A column of a segment.
@@ -80,6 +84,8 @@ impl Group {
             segment_y: 0,
             columns: 0,
             entries: [Entry::EMPTY; 32],
+            #[cfg(target_pointer_width = "64")]
+            ahead: None,
         }
     }
 
@@ -119,7 +125,8 @@ impl Group {
         };
     }
 
-    #[inline(never)]
+    #[cfg_attr(target_pointer_width = "64", inline(always))]
+    #[cfg_attr(not(target_pointer_width = "64"), inline(never))]
     fn next_segment_apart(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
         self.next_segment(window)
     }
@@ -127,14 +134,30 @@ impl Group {
     /// Goes to the next segment and returns its columns.
     #[inline(always)]
     fn next_segment(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
+        #[cfg(target_pointer_width = "64")]
+        let (segment, head) = {
+            let here = match self.ahead {
+                Some(here) => here,
+                None => self.take_segment(window)?,
+            };
+            self.ahead = self.take_segment(window);
+            here
+        };
+        #[cfg(not(target_pointer_width = "64"))]
+        let (segment, head) = self.take_segment(window)?;
+        (self.segment_x, self.segment_y) = window.segment_origin(segment);
+        NonZeroU32::new(self.deal(head, window.slots()))
+    }
+
+    /// The next segment that has events, and its list.
+    #[inline(always)]
+    fn take_segment(&mut self, window: &mut Window<'_>) -> Option<(u32, u32)> {
         if self.segments == 0 {
             (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;
         }
         let segment = self.first_segment + self.segments.leading_zeros();
         self.segments ^= FIRST.rotate_right(segment);
-        (self.segment_x, self.segment_y) = window.segment_origin(segment);
-        let head = window.take_head(segment);
-        NonZeroU32::new(self.deal(head, window.slots()))
+        Some((segment, window.take_head(segment)))
     }
 
     /// Turns a segment's list into one for each column; returns the columns.

@@ -140,6 +140,9 @@ mod arm {
         COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_HEAD, SLOTS_MAX, Slot,
     };
 
+    /// x where it is in a word, and the bits that an event has not.
+    const X_MASK: u32 = NO_EVENT | (SIDE_MASK << X_SHIFT);
+
     /// What [`take_words`] works on.
     #[repr(C)]
     struct State {
@@ -210,34 +213,34 @@ mod arm {
     ///
     /// | r0 | r1 | r2 | r3 | r4 | r5 | r6 | r7 | r8 | r9 |
     /// |---|---|---|---|---|---|---|---|---|---|
-    /// | bitmap | next word | bytes left | slot | len | heads | heads_len | width | stride | span_us |
+    /// | `X_MASK` | next word | bytes left | slot | len | heads | heads_len | width | stride | span_us |
     ///
-    /// lr is the word, r10 its segment, r11 the segment's head, r12 the link.
+    /// lr is the word, r10 its segment, r11 the segment's head, r12 the link. At sp: state, bitmap.
     macro_rules! event {
         () => {
             "
             ldr lr, [r1], #4
-            bic r12, lr, #{not_x}
+            and r12, lr, r0
             cmp r12, r7
             bhs 5f
             ubfx r10, lr, #0, #{side_bits}
-            lsr r12, r12, #{segment_shift}
-            mla r10, r10, r8, r12
+            lsr r11, r12, #{segment_shift}
+            mla r10, r10, r8, r11
             cmp r10, r6
             bhs 7f
             ldrh r11, [r5, r10, lsl #1]
             strh r4, [r5, r10, lsl #1]
-            and r12, lr, #{column}
-            orr r12, r12, lr, lsr #{kind_shift}
+            // The column is in the lower half; the sign tells the head of an empty list.
+            pkhbt r12, r12, r11, lsl #16
+            orrs r12, r12, lr, lsr #{kind_shift}
             ubfx lr, lr, #{low_shift}, #{low_bits}
             add lr, lr, r9
-            // The sign tells the head of an empty list.
-            orrs r12, r12, r11, lsl #16
             strd lr, r12, [r3], #8
             add r4, r4, #1
             bpl 4f
+            ldr r12, [sp, #4]
             lsr r11, r10, #5
-            add r12, r0, r11, lsl #2
+            add r12, r12, r11, lsl #2
             mov r11, #{first}
             ror r11, r11, r10
             ldr r10, [r12]
@@ -261,9 +264,13 @@ mod arm {
     unsafe extern "C" fn take_words(state: &mut State) {
         naked_asm!(
             "
-            push {{r0, r4-r11, lr}}
+            push {{r4-r11, lr}}
+            sub sp, #12
+            ldr r1, [r0, #{bitmap}]
+            strd r0, r1, [sp]
             ldmia r0, {{r1-r9}}
-            ldr r0, [r0, #{bitmap}]
+            movw r0, #{x_low}
+            movt r0, #{x_high}
             sub r2, r2, r1
             b 6f
         2:
@@ -306,17 +313,18 @@ mod arm {
         7:  // Not to be taken.
             sub r1, r1, #4
         9:
-            pop {{r0}}
+            ldr r0, [sp]
             str r1, [r0, #{word}]
             str r4, [r0, #{len}]
             str r9, [r0, #{span_us}]
+            add sp, #12
             pop {{r4-r11, pc}}
             ",
-            not_x = const !(NO_EVENT | (SIDE_MASK << X_SHIFT) | SIDE_MASK),
+            x_low = const X_MASK & 0xffff,
+            x_high = const X_MASK >> 16,
             side_bits = const SIDE_BITS,
             segment_shift = const X_SHIFT + COLUMN_BITS,
             first = const FIRST,
-            column = const ((1 << COLUMN_BITS) - 1) << COLUMN_SHIFT,
             kind_shift = const KIND_SHIFT,
             low_shift = const LOW_SHIFT,
             low_bits = const LOW_BITS,

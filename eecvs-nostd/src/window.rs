@@ -583,7 +583,7 @@ impl<'b> Window<'b> {
     #[inline]
     pub(crate) fn take_segments(&mut self, cursor: &mut usize) -> Option<(u32, u32)> {
         let words = self.bitmap.get_mut(*cursor..)?;
-        let at = words.iter().position(|bits| *bits != 0)?;
+        let at = first_used(words)?;
         let segment = (*cursor + at) as u32 * 32;
         *cursor += at + 1;
         Some((segment, core::mem::take(words.get_mut(at)?)))
@@ -615,6 +615,20 @@ impl<'b> Window<'b> {
         let x = (segment - y * self.stride.get()) * u32::from(SEGMENT_PIXELS);
         (x as u16, y as u16)
     }
+}
+
+/// Index of the first word that has bits.
+#[inline(always)]
+fn first_used(words: &[u32]) -> Option<usize> {
+    // On a large sensor few of them have: a host looks at several at once.
+    let mut skipped = 0;
+    if cfg!(target_pointer_width = "64") {
+        let (chunks, _) = words.as_chunks::<16>();
+        let is_empty = |chunk: &&[u32; 16]| chunk.iter().fold(0, |all, bits| all | bits) == 0;
+        skipped = 16 * chunks.iter().take_while(is_empty).count();
+    }
+    let rest = words.get(skipped..)?;
+    Some(skipped + rest.iter().position(|bits| *bits != 0)?)
 }
 
 /// What is known of the largest offset: enough to find it in the slots when it is asked for.
