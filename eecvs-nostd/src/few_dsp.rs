@@ -1,7 +1,7 @@
 //! The walk of [`crate::pixel_encoder`] over the pixels of the eight-coefficient DCT, with its state
 //! in registers.
 //!
-//! The compiler's own walk takes three times the instructions: it has fewer registers than the walk
+//! The compiler's own walk takes nearly twice the instructions: it has fewer registers than the walk
 //! has state, and moves that to the stack and back at every pixel. The loop in Rust stays for other
 //! processors and for probes, which want to know the stage; all give the same bits.
 #![allow(unsafe_code)]

@@ -277,8 +277,8 @@ impl Packer {
         }
     }
 
-    /// The same of a pixel whose gap plus 2^g is `shifted`, where `rest` holds polarity and cell; ask
-    /// [`Self::go_to`] before another that does not tell its gap.
+    /// The same of a pixel whose gap plus 2^g is `shifted`, where `rest` holds polarity and cell. The
+    /// gap after it is not counted from there before [`Self::go_to`].
     #[cfg(eecvs_dsp)]
     pub(crate) fn single_after(&self, shifted: u32, rest: u32, writer: &mut BitWriter<'_>) {
         let cell = (rest >> 1, self.cells_log2);

@@ -98,7 +98,7 @@ pub type Head = u32;
 pub(crate) const NO_SLOT: u32 = u32::MAX >> NEXT_SHIFT;
 const _: () = assert!(SLOTS_MAX <= NO_SLOT as usize);
 
-/// The head of an empty list.
+/// The head of an empty list. Assembly also leaves others beyond [`SLOTS_MAX`], which mean the same.
 pub(crate) const NO_HEAD: Head = NO_SLOT as Head;
 
 /// Most slots of a window on this target: [`EVENTS_MAX`], or what a [`Head`] can address with a bit
