@@ -157,7 +157,8 @@ pub fn walk(
     group.first_segment = walk.first_segment;
     group.columns = walk.columns.reverse_bits();
     if walk.columns != 0 {
-        let y = walk.base / width;
+        // Never 0; asking leaves no panic in the code.
+        let y = walk.base.checked_div(width).unwrap_or(0);
         (group.segment_x, group.segment_y) = ((walk.base - y * width) as u16, y as u16);
     }
     packer.go_to(walk.next_index);
