@@ -1,8 +1,8 @@
 //! The walk of [`crate::pixel_encoder`] over the pixels of the eight-coefficient DCT, with its state
 //! in registers.
 //!
-//! The compiler's own walk takes twice the instructions: it has fewer registers than the walk has
-//! state, and moves that to the stack and back at every pixel. The loop in Rust stays for other
+//! The compiler's own walk takes nearly twice the instructions: it has fewer registers than the walk
+//! has state, and moves that to the stack and back at every pixel. The loop in Rust stays for other
 //! processors and for probes, which want to know the stage; all give the same bits.
 #![allow(unsafe_code)]
 
@@ -12,43 +12,73 @@ use core::mem::offset_of;
 
 use crate::bits::{BitWriter, Position};
 use crate::fixed_point::CHUNK_EVENTS;
-use crate::group::{Group, Lists};
+use crate::group::{Entry, Group};
 use crate::pack::Packer;
 use crate::phase::PhaseScale;
 use crate::transform::rows::{self, Lines};
-use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window};
+use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, Slot};
+use crate::window::{SLOTS_MAX, Window};
 
-/// What the assembly knows. The first part is copied to its stack.
+/// Words that a pixel takes at the most in the assembly: 32 bits of place and width, 71 of levels, and
+/// 31 that were there before. A single event's are fewer, whatever its gap.
+const WORDS_MAX: usize = 4;
+/// Where a slot has the next one.
+const NEXT_AT: usize = 6;
+
+/// What the assembly knows. The first part is copied to its stack, and back from `base` on.
 #[repr(C)]
 struct Walk<'w, 's, 'o> {
-    /// Word from which on the output has no room for another pixel.
-    limit: usize,
+    // The four that an event needs come first.
     lines: *const Lines,
+    slots: *mut Slot,
     phase_shift: u32,
     reciprocal: u32,
     /// From u / 2 to the cell.
     cell_shift: u32,
-    /// Bits of a single event but for its gap.
+    /// 33 and the bits of a cell.
     single_bits: u32,
+    /// Where the output has no room for another pixel.
+    limit: *mut [u8; 4],
     /// From sums to levels.
     level_shift: u32,
-    /// Bits of a level of one event, and one.
+    /// Bits of a level of one event, less 2.
     level_bits: u32,
+    counts: *const [u32; CHUNK_EVENTS + 1],
+    /// The same for one that the assembly leaves to [`seven_long`].
+    limit_long: *mut [u8; 4],
+    heads: *mut Head,
+    /// Segments in a row, and the columns that they have beyond the sensor's.
+    stride: u32,
+    beyond: u32,
+    entries: *mut Entry,
     /// Raster index of the first column of the segment at hand.
     base: u32,
-    slots: *const Slot,
-    packer: *mut Packer,
-    lists: *mut Lists,
+    /// From the index after the last pixel's to that.
+    since: u32,
+    /// Of 32 segments, those still to be visited.
+    segments: u32,
+    /// The first of them.
+    first_segment: u32,
+    /// Raster index after the last pixel's, at the end.
+    next_index: u32,
+    /// The segment's columns that were not visited, the first one highest.
+    columns: u32,
+    /// Where slots have their links, and where these have the next slot.
+    links: *mut u8,
+    nexts: *mut u8,
+    /// 2 2^g + 1: twice the gap more, and zeros before, is a gap's code of order g.
+    gap: u32,
+    /// As above.
+    slots_again: *mut Slot,
+    // Not copied.
     position: *mut Position,
     words: *mut [u8; 4],
-    /// Columns of the segment that were not visited.
-    columns: u32,
     /// Sums that the assembly leaves to [`seven_long`].
     sums: [i32; 7],
+    packer: *mut Packer,
     group: *mut Group,
     window: *mut Window<'s>,
     writer: *mut BitWriter<'o>,
-    width: u32,
     /// Ties the pointers to what they point to.
     borrowed: PhantomData<&'w mut ()>,
 }
@@ -64,109 +94,165 @@ pub fn walk(
 ) -> (u32, u32) {
     let (phase_shift, reciprocal) = scale.parts();
     let cells_log2 = packer.cells_log2();
-    let (level_shift, level_bits) = packer.level_parts();
-    let width = packer.width();
+    let (level_shift, one_bits) = packer.level_parts();
+    let (order, next_index) = packer.gap_parts();
+    let width = u32::from(window.config().sensor.width);
+    let (x, y) = (group.segment_x, group.segment_y);
+    let columns = group.columns.reverse_bits();
+    let base = if columns == 0 {
+        next_index
+    } else {
+        u32::from(y) * width + u32::from(x)
+    };
+    let (slots, heads, stride) = window.parts();
+    let slots_at: *mut u8 = slots.as_mut_ptr().cast();
     let writer: *mut BitWriter<'_> = writer;
     // SAFETY: the pointer is that of the reference; both parts are reached through it alone.
     let (position, words, words_len) = unsafe { BitWriter::raw_parts(writer) };
     let mut walk = Walk {
-        limit: words_len.saturating_sub(room),
         lines: rows::lines(),
+        slots: slots.as_mut_ptr(),
         phase_shift,
         reciprocal,
         cell_shift: 31 - cells_log2,
-        single_bits: cells_log2 + 2,
+        single_bits: 33 + cells_log2,
+        limit: words.wrapping_add(words_len.saturating_sub(WORDS_MAX)),
         level_shift,
-        level_bits,
-        base: 0,
-        slots: core::ptr::null(),
-        packer,
-        lists: core::ptr::null_mut(),
+        level_bits: one_bits.wrapping_sub(2),
+        counts: &COUNTS,
+        limit_long: words.wrapping_add(words_len.saturating_sub(room)),
+        heads: heads.as_mut_ptr(),
+        stride: stride.get(),
+        beyond: (stride.get() << COLUMN_BITS) - width,
+        entries: group.entries.as_mut_ptr(),
+        base,
+        since: base.wrapping_sub(next_index),
+        segments: group.segments,
+        first_segment: group.first_segment,
+        next_index,
+        columns,
+        links: slots_at.wrapping_add(NEXT_AT - 2),
+        nexts: slots_at.wrapping_add(NEXT_AT),
+        gap: (2 << order) + 1,
+        slots_again: slots.as_mut_ptr(),
         position,
         words,
-        columns: 0,
         sums: [0; 7],
+        packer,
         group,
         window,
         writer,
-        width,
         borrowed: PhantomData,
     };
     // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns`
-    // reads slots at the heads and links of the group's lists, all of which `Group` has found below
-    // the number of slots when it made the lists; reads and writes lists at columns below 32; reads
-    // the table at rows below 512; and writes words before `limit` plus `room`, which are there.
-    // The build script sets `eecvs_dsp` only for cores that have the instructions.
+    // reads and writes heads of segments that the window's bitmap has, and slots at heads and links,
+    // all of which `Window` has made of slots that it has filled, or of entries that this or `Group`
+    // has made of those; reads and writes entries of columns below 32; reads the tables at rows
+    // below 512 and counts up to a chunk's; and writes words before `limit` plus `room`, which are
+    // there. The build script sets `eecvs_dsp` only for cores that have the instructions.
     let counts = unsafe { walk_columns(&mut walk) };
-    group.leave(walk.columns);
+    // SAFETY: the references that they were made of are not used before this.
+    let (group, packer) = unsafe { (&mut *walk.group, &mut *walk.packer) };
+    group.segments = walk.segments;
+    group.first_segment = walk.first_segment;
+    group.columns = walk.columns.reverse_bits();
+    if walk.columns != 0 {
+        // Never 0; asking leaves no panic in the code.
+        let y = walk.base.checked_div(width).unwrap_or(0);
+        (group.segment_x, group.segment_y) = ((walk.base - y * width) as u16, y as u16);
+    }
+    packer.go_to(walk.next_index);
     (counts & 0xffff, counts >> 16)
 }
 
-// What the assembly takes for granted. Both counts fit half a word.
-const _: () = assert!(SLOTS_MAX <= 0xffff && NO_SLOT == 0xffff);
-const _: () = assert!(size_of::<Slot>() == 8 && NEXT_SHIFT == 16 && CHUNK_EVENTS < 64);
-const _: () = assert!(offset_of!(Lists, tallies) == 128 && size_of::<Lists>() == 256);
-const _: () = assert!(offset_of!(Walk<'_, '_, '_>, base) == 32);
-const _: () = assert!(offset_of!(Walk<'_, '_, '_>, columns) == 56);
-const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 60);
+/// Of n events: in the lower half, what is to be added where the gap's code ends, besides the ON
+/// events times two to the bits of n's code, which are the third byte; in the fourth, 32 and the
+/// bits of n and of the ON events, less the leading zeros of n - 1.
+///
+/// The 1s above the gap's code and above n's are taken off there.
+static COUNTS: [u32; CHUNK_EVENTS + 1] = {
+    let mut counts = [0; CHUNK_EVENTS + 1];
+    let mut n = 2;
+    while n <= CHUNK_EVENTS as u32 {
+        let low_bits = n.ilog2();
+        let code = (((n << 1) + 1) << low_bits) - (2 << (2 * low_bits)) - 1;
+        let bits = 3 * low_bits + 2 + 32 - (n - 1).leading_zeros();
+        counts[n as usize] = code | ((2 * low_bits + 1) << 16) | (bits << 24);
+        n += 1;
+    }
+    counts
+};
 
-/// The next segment's columns, 0 where there is none; its base, slots and lists.
-unsafe extern "C" fn next_segment(walk: &mut Walk<'_, '_, '_>) -> u32 {
+// What the assembly takes for granted. Both counts fit half a word, and a link's sign tells the end.
+const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000);
+const _: () = assert!(size_of::<Slot>() == 8 && NEXT_SHIFT == 16 && CHUNK_EVENTS < 64);
+const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, tally) == 4);
+const _: () = assert!(offset_of!(Walk<'_, '_, '_>, base) == 60);
+const _: () = assert!(offset_of!(Walk<'_, '_, '_>, position) == 100);
+const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 108);
+
+/// Goes to the next 32 segments of which some have events; returns those, 0 where there are none.
+unsafe extern "C" fn next_segments(walk: &mut Walk<'_, '_, '_>, first: &mut u32) -> u32 {
     // SAFETY: see `walk`; nothing else has a reference while this runs.
     let (group, window) = unsafe { (&mut *walk.group, &mut *walk.window) };
-    let columns = group.enter(window);
-    let (x, y) = group.origin();
-    walk.base = u32::from(y) * walk.width + u32::from(x);
-    walk.slots = window.slots().as_ptr();
-    walk.lists = group.lists();
-    columns
+    match window.take_segments(&mut group.cursor) {
+        Some((first_segment, segments)) => {
+            *first = first_segment;
+            segments
+        }
+        None => 0,
+    }
 }
 
-/// A single event whose code is longer than 31 bits; `before` is what the packer's gap comes to.
-unsafe extern "C" fn single_long(walk: &mut Walk<'_, '_, '_>, before: u32, rest: u32) {
+/// A single event whose code is longer than 31 bits; `gap` is twice its gap plus 2^g, and 1.
+unsafe extern "C" fn single_long(walk: &mut Walk<'_, '_, '_>, gap: u32, rest: u32) {
     // SAFETY: see `walk`; nothing else has a reference while this runs.
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
-    packer.single_to(before, rest, writer);
+    packer.single_after(gap >> 1, rest, writer);
 }
 
-/// A pixel whose levels have over 10 bits or whose place has over 31: its sums are in `walk`;
-/// `before` is what the packer's gap began from.
-unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, index: u32, tally: u32, before: u32) {
+/// A pixel whose levels have over 10 bits or whose place has over 31: its sums are in `walk`; `gap`
+/// as there.
+unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32) {
     // SAFETY: see `walk`; nothing else has a reference while this runs.
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
     let on = tally & 0xffff;
-    packer.seven_from(before, index, (on, (tally >> 16) - on), &walk.sums, writer);
+    packer.seven_after(gap >> 1, (on, (tally >> 16) - on), &walk.sums, writer);
 }
 
-/// Appends `$bits` bits of `$value`, which has no others; overwrites `$bits` and `$tmp`.
+/// Appends `$value`, which has no bits beyond its `$bits`, 32 at the most; overwrites `$bits`.
 ///
-/// r9: bits of the next word, lr: how many there are, r12: where the word goes.
+/// r9: bits of the next word; r8: 0; `$at`: the bit where the value goes, and `$to` the one after
+/// it, in another register; r12: where the word goes.
 macro_rules! put {
-    ($value:literal, $bits:literal, $tmp:literal) => {
+    ($value:literal, $bits:literal, $at:literal, $to:literal) => {
         concat!(
-            "lsl ",
-            $tmp,
-            ", ",
+            // What the word has no room for is in r8.
+            "umlal r9, r8, ",
             $value,
-            ", lr\n",
-            "orr r9, r9, ",
-            $tmp,
+            ", ",
+            $at,
             "\n",
-            "add lr, lr, ",
+            "lsls ",
+            $to,
+            ", ",
+            $at,
+            ", ",
             $bits,
             "\n",
-            "cmp lr, #32\n",
-            "blo 2f\n",
+            "bne 2f\n",
             "str r9, [r12], #4\n",
-            "sub lr, lr, #32\n",
-            "sub ",
+            "mov r9, r8\n",
+            "mov r8, #0\n",
+            "rsb ",
             $bits,
             ", ",
             $bits,
-            ", lr\n",
-            // What the word had no room for; nothing where that is a shift by 32.
-            "lsr r9, ",
-            $value,
+            ", #0\n",
+            "ror ",
+            $to,
+            ", ",
+            $at,
             ", ",
             $bits,
             "\n",
@@ -175,68 +261,79 @@ macro_rules! put {
     };
 }
 
-/// Adds the atoms of the slot at `$slot` to r4 to r10, or begins with them; lr is its link then. As `rows::cosines` does. r0: slots.
+/// Adds the atoms of the slot lr to r4 to r10, or begins with them; lr is its link then. As
+/// [`rows::cosines`] does.
 macro_rules! event {
-    ($slot:literal, $begin:literal, $r4:literal, $r5:literal, $r6:literal, $r7:literal, $r8:literal, $r9:literal,
+    ($begin:literal, $r4:literal, $r5:literal, $r6:literal, $r7:literal, $r8:literal, $r9:literal,
         $r10:literal) => {
         concat!(
-            // r1: u / 2; lr: the link.
-            "add r1, r0, ",
-            $slot,
-            ", lsl #3\n",
+            "ldm sp, {{r0, r1, r2, r3}}\n",
+            "add r1, r1, lr, lsl #3\n",
             "ldrd r1, lr, [r1]\n",
-            "ldrd r2, r3, [sp, #40]\n",
+            // r1: u / 2.
             "lsls r1, r2\n",
             "umull r3, r1, r1, r3\n",
             // r2: all ones in the second half of the window; r1: from the nearer edge.
             "sbfx r2, r1, #30, #1\n",
             "eors r1, r2\n",
-            // r3: all ones where it is ON; r2: where odd k change their sign.
+            // r3: all ones where it is ON.
             "sbfx r3, lr, #0, #1\n",
-            "eors r2, r3\n",
-            // r12: the weights for even k, r11: for odd k.
+            // r12: the weights for even k; r11: for odd k, whose sign the second half changes.
             "ubfx r11, r1, #{distance_at}, #{distance_bits}\n",
             "orr r11, r11, #{one}\n",
             "eor r12, r11, r3\n",
             "ssub16 r12, r12, r3\n",
-            "eor r11, r11, r2\n",
+            "eor r11, r12, r2\n",
             "ssub16 r11, r11, r2\n",
             // r1: the row.
             "ubfx r1, r1, #{row_at}, #{rows_log2}\n",
-            "ldr r2, [sp, #36]\n",
-            "add r1, r2, r1, lsl #5\n",
-            "ldrd r2, r3, [r1]\n",
+            "add r1, r0, r1, lsl #5\n",
+            "ldm r1!, {{r0, r2, r3}}\n",
             $begin,
-            " r4, r2, r11",
+            " r4, r0, r11",
             $r4,
             "\n",
             $begin,
-            " r5, r3, r12",
+            " r5, r2, r12",
             $r5,
             "\n",
-            "ldrd r2, r3, [r1, #8]\n",
             $begin,
-            " r6, r2, r11",
+            " r6, r3, r11",
             $r6,
             "\n",
+            "ldm r1, {{r0, r1, r2, r3}}\n",
             $begin,
-            " r7, r3, r12",
+            " r7, r0, r12",
             $r7,
             "\n",
-            "ldrd r2, r3, [r1, #16]\n",
-            "ldr r1, [r1, #24]\n",
             $begin,
-            " r8, r2, r11",
+            " r8, r1, r11",
             $r8,
             "\n",
             $begin,
-            " r9, r3, r12",
+            " r9, r2, r12",
             $r9,
             "\n",
             $begin,
-            " r10, r1, r11",
+            " r10, r3, r11",
             $r10
         )
+    };
+}
+
+/// From sums, in r4 to r10, to levels, of which r2 has the shift; r1: 2^r0, r11: half of it.
+macro_rules! levels {
+    () => {
+        "asr r4, r4, r2
+        asr r5, r5, r2
+        asr r6, r6, r2
+        asr r7, r7, r2
+        asr r8, r8, r2
+        asr r9, r9, r2
+        asr r10, r10, r2
+        mov r11, #1
+        lsl r1, r11, r0
+        lsr r11, r1, #1"
     };
 }
 
@@ -247,155 +344,173 @@ macro_rules! event {
 #[unsafe(naked)]
 unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
     naked_asm!(
-        // r4: columns; r5: base; r6: slots; r7: packer; r8: lists; r9: position; r10: words;
-        // r11: the counts.
-        // At sp: 0 to 20 r5 to r10; 24 r4, 28 r11; 32 limit, 36 lines, 40 phase_shift,
-        // 44 reciprocal, 48 cell_shift, 52 single_bits, 56 level_shift, 60 level_bits; 64 walk;
-        // 68 index, 72 tally, 76 the gap before; 80 code, 84 its bits but for the levels' width.
+        // | r4 | r5 | r6 | r7 | r8 | r9 | r10 | r11 | r12 |
+        // |---|---|---|---|---|---|---|---|---|
+        // | columns from r7's on, the first one highest | gap | slots | next entry | 0 | bits of the
+        // next word | the bit after them | pixels, events and 2^15 | where the word goes |
+        //
+        // At sp: the walk's first part; 100 r1 and r3 to lr; 148 code, 152 its bits; 156 walk.
         "push {{r4-r11, lr}}",
-        "sub sp, #92",
-        "str r0, [sp, #64]",
-        "ldm r0, {{r1-r8}}",
-        "add r12, sp, #32",
-        "stm r12, {{r1-r8}}",
-        "mov r11, #0",
-        // The next segment.
+        "sub sp, #164",
+        "str r0, [sp, #156]",
+        "mov lr, sp",
+        "ldm r0!, {{r1-r11}}",
+        "stm lr!, {{r1-r11}}",
+        "ldm r0!, {{r1-r11}}",
+        "stm lr!, {{r1-r11}}",
+        "ldm r0, {{r1-r3}}",
+        "stm lr, {{r1-r3}}",
+        "bl 40f",
+        "mov r11, #0x8000",
+        "mov r8, #0",
+        "ldrd r5, r6, [sp, #92]",
+        "ldr r7, [sp, #56]",
+        "ldr r4, [sp, #80]",
+        "cmp r4, #0",
+        "bne 13f",
+        // The next segment. r1: segments; r2: the first one, then the one; r4: index after the last
+        // pixel's.
         "6:",
-        "ldr r0, [sp, #64]",
-        "bl {next_segment}",
-        "movs r4, r0",
-        "beq 8f",
-        "ldr r0, [sp, #64]",
-        "adds r0, #32",
-        "ldm r0, {{r5-r10}}",
-        "stm sp, {{r5-r10}}",
-        // The next pixel. r0: raster index; r1: its list; r2: the first slot; r3: its offset;
-        // r12: its link.
-        "1:",
-        "rbit r0, r4",
-        "clz r0, r0",
-        "add r1, r8, r0, lsl #2",
-        "ldr r2, [r1]",
-        "subs r3, r4, #1",
-        "ands r4, r3",
-        "adds r0, r0, r5",
-        "add r3, r6, r2, lsl #3",
-        "ldrd r3, r12, [r3]",
-        "movw lr, #0xffff",
-        "str lr, [r1]",
-        "cmp lr, r12, lsr #16",
-        "bne 4f",
-        // One event.
-        "movs r2, #0",
-        "str r2, [r1, #128]",
-        // r3: the cell; and beside it, lowest, the polarity.
-        "ldrd r1, r2, [sp, #40]",
-        "lsls r3, r1",
-        "ldr lr, [sp, #48]",
-        "umull r1, r3, r3, r2",
-        "lsr r3, r3, lr",
-        "and r12, r12, #1",
-        "add r3, r12, r3, lsl #1",
-        // r1: the gap's code, a 1 above it, which is that of n; lr: its bits.
-        "ldm r7, {{r1, r2, r12, lr}}",
-        "subs r1, r0, r1",
-        "subs r0, r0, r2",
-        "clz r2, r1",
-        "sub r12, r12, r2",
-        "sub lr, lr, r2, lsl #1",
-        "adds r1, r1, r1",
-        "adds r1, #1",
-        "lsl r1, r1, r12",
-        "add r12, lr, #1",
-        "lsl r12, r3, r12",
-        "add r1, r1, r12",
-        "ldr r2, [sp, #52]",
-        "add r2, r2, lr",
-        "cmp r2, #31",
-        "bhi 7f",
-        "str r0, [r7]",
-        "ldm r9, {{r0, r3, r12}}",
-        "add r11, r11, #0x10001",
-        "rsb lr, r12, #32",
-        "lsl lr, r1, lr",
-        "orr r3, r3, lr",
-        "subs r2, r12, r2",
-        "bls 2f",
-        "strd r3, r2, [r9, #4]",
-        "cmp r4, #0",
-        "bne 1b",
-        "b 6b",
-        // A word is complete: what it had no room for begins the next.
-        "2:",
-        "str r3, [r10, r0, lsl #2]",
-        "ldr r3, [sp, #32]",
-        "adds r0, #1",
-        "lsr r1, r1, r12",
-        "adds r2, #32",
-        "stm r9, {{r0, r1, r2}}",
-        "cmp r0, r3",
-        "bhs 8f",
-        "cmp r4, #0",
-        "bne 1b",
-        "b 6b",
-        // Several events; r3: the tally.
-        "4:",
-        "ldr r3, [r1, #128]",
-        "cmp r3, #{crowded}",
-        "bhs 5f",
-        "mov r12, #0",
-        "str r12, [r1, #128]",
-        "add r11, r11, #0x10000",
-        "add r11, r11, r3, lsr #16",
-        "strd r4, r11, [sp, #24]",
-        "strd r0, r3, [sp, #68]",
-        // r4: the code; r8: its bits. The gap first, and a 1 above it.
-        "ldm r7, {{r4, r5, r6, r8}}",
-        "str r4, [sp, #76]",
-        "subs r4, r0, r4",
-        "subs r0, r0, r5",
-        "str r0, [r7]",
-        "clz r5, r4",
-        "subs r6, r6, r5",
-        "sub r8, r8, r5, lsl #1",
-        "mov r12, #1",
-        "add r4, r12, r4, lsl #1",
-        "lsls r4, r6",
-        // n, whose code has its 1 from the gap's; r3: n, r9: ON events.
-        "uxth r9, r3",
-        "lsrs r3, r3, #16",
-        "clz r5, r3",
-        "rsb r5, r5, #31",
-        "add r6, r12, r3, lsl #1",
-        "lsls r6, r5",
-        "subs r6, #1",
-        "lsl r6, r6, r8",
-        "adds r4, r4, r6",
-        "add r8, r8, r5, lsl #1",
-        "add r8, r8, #1",
-        // ON events, with the 1 above n's code taken off.
-        "sub r9, r9, #1",
-        "lsl r9, r9, r8",
-        "add r4, r4, r9",
-        "add r8, r8, r5",
-        // The levels' width has as many bits as the widest possible has more than the widest one,
-        // and one: bits of a level of one event, less the leading zeros of n - 1, plus those of the
-        // widest one.
-        "subs r3, #1",
-        "clz r5, r3",
-        "ldr r6, [sp, #60]",
-        "sub r8, r8, r5",
-        "add r8, r8, r6",
-        "strd r4, r8, [sp, #80]",
-        "ldr r0, [sp, #4]",
-        event!("r2", "smuad", "", "", "", "", "", "", ""),
-        "lsr lr, lr, #16",
+        "ldrd r0, r1, [sp, #56]",
+        "subs r7, r7, r0",
+        "add r4, r1, r7, lsr #3",
+        "ldrd r1, r2, [sp, #68]",
+        "15:",
+        "mov lr, #{first}",
+        "clz r3, r1",
+        "adds r2, r2, r3",
+        "lsrs r3, lr, r3",
+        "beq 14f",
+        "eors r1, r3",
+        "str r1, [sp, #68]",
+        "ldrd r0, r1, [sp, #44]",
+        "udiv r3, r2, r1",
+        "ldrh r5, [r0, r2, lsl #1]",
+        "strh r11, [r0, r2, lsl #1]",
+        "ldrd r0, r7, [sp, #52]",
+        "lsls r2, r2, #{column_bits}",
+        "mls r2, r3, r0, r2",
+        "subs r4, r2, r4",
+        "strd r2, r4, [sp, #60]",
+        // Its list, newest first, to the columns' lists, oldest first. r5: slot; r3: its link.
+        "mov r4, #0",
+        "ldrd r6, r8, [sp, #84]",
         "3:",
-        event!("lr", "smlad", ", r4", ", r5", ", r6", ", r7", ", r8", ", r9", ", r10"),
-        // The carry tells the end of the list.
-        "adds r2, lr, #0x10000",
-        "lsr lr, lr, #16",
-        "bcc 3b",
+        "ldr r3, [r6, r5, lsl #3]",
+        "ubfx r0, r3, #{column_at}, #{column_bits}",
+        "add r1, r7, r0, lsl #3",
+        "ror r0, lr, r0",
+        "orr r4, r4, r0",
+        "ldrd r0, r2, [r1]",
+        "uxtab r2, r2, r3",
+        "add r2, r2, #0x10000",
+        "strd r5, r2, [r1]",
+        "strh r0, [r8, r5, lsl #3]",
+        "asrs r5, r3, #16",
+        "bpl 3b",
+        "ldrd r5, r6, [sp, #92]",
+        "mov r8, #0",
+        // The first pixel of a segment.
+        "13:",
+        "ldr r2, [sp, #64]",
+        "clz r0, r4",
+        "lsl r4, r4, r0",
+        "add r7, r7, r0, lsl #3",
+        "adds r0, r0, r2",
+        "add r1, r5, r0, lsl #1",
+        "b 4f",
+        // The next pixel of a segment.
+        "1:",
+        "clz r0, r4",
+        "lsl r4, r4, r0",
+        "add r7, r7, r0, lsl #3",
+        "add r1, r5, r0, lsl #1",
+        // r1: the gap's code but for its zeros; lr: first slot; r3: tally. The entry is emptied: 2^15
+        // in its head ends a list.
+        "4:",
+        "ldrd lr, r3, [r7], #8",
+        "strd r11, r8, [r7, #-8]",
+        "cmp r3, #0x20000",
+        "bhs 5f",
+        // One event. r3: the cell; and beside it, lowest, the polarity.
+        "ldr r2, [r6, lr, lsl #3]",
+        "ldrd r0, lr, [sp, #8]",
+        "lsls r2, r0",
+        "umull r0, r2, r2, lr",
+        "ldrd r0, lr, [sp, #16]",
+        "lsrs r2, r0",
+        "bfi r3, r2, #1, #31",
+        // r0: the gap's code, and the 1 above it is n's; r2: 32 less the bits of both, by which the
+        // rest is turned right to come after them; lr: bits of all.
+        "clz r0, r5",
+        "clz r2, r1",
+        "subs r0, r0, r2",
+        "subs r2, r2, r0",
+        "lsl r0, r1, r0",
+        "rors r3, r2",
+        "orrs r0, r3",
+        "sub lr, lr, r2",
+        "lsls r2, r10, lr",
+        "beq 2f",
+        "umlal r9, r8, r0, r10",
+        "mov r10, r2",
+        "add r11, r11, #0x10001",
+        "lsls r4, r4, #1",
+        "bne 1b",
+        "b 6b",
+        // A word is complete: what it has no room for begins the next.
+        "2:",
+        "cmp lr, #31",
+        "bhi 7f",
+        "umlal r9, r8, r0, r10",
+        "add r11, r11, #0x10001",
+        "str r9, [r12], #4",
+        "mov r9, r8",
+        "mov r8, #0",
+        "rsb lr, lr, #0",
+        "ror r10, r10, lr",
+        "ldr r0, [sp, #24]",
+        "cmp r12, r0",
+        "bhs 12f",
+        "lsls r4, r4, #1",
+        "bne 1b",
+        "b 6b",
+        // Several events. r2: n.
+        "5:",
+        "cmp r3, #{crowded}",
+        "bhs 16f",
+        "add r11, r11, #0x10000",
+        "lsrs r2, r3, #16",
+        "add r11, r11, r2",
+        "add r0, sp, #100",
+        "stm r0, {{r1, r3-r12, lr}}",
+        // r4: the gap's code; r6: its bits.
+        "clz r6, r5",
+        "clz r7, r1",
+        "subs r6, r6, r7",
+        "lsl r4, r1, r6",
+        "subs r7, r7, r6",
+        "rsb r6, r7, #31",
+        // The counts behind it. r8: bits of all, and of the levels' width, but for the leading zeros
+        // of the widest level and for its 1, which comes with the levels.
+        "ldrd r8, r9, [sp, #32]",
+        "ldr r9, [r9, r2, lsl #2]",
+        "uxth r3, r3",
+        "lsr r10, r9, #16",
+        "lsl r3, r3, r10",
+        "uxtah r3, r3, r9",
+        "lsls r3, r6",
+        "adds r4, r4, r3",
+        "sub r8, r8, r7",
+        "add r8, r8, r9, lsr #24",
+        "strd r4, r8, [sp, #148]",
+        event!("smuad", "", "", "", "", "", "", ""),
+        "asr lr, lr, #16",
+        "3:",
+        event!("smlad", ", r4", ", r5", ", r6", ", r7", ", r8", ", r9", ", r10"),
+        // The sign tells the end of the list.
+        "asrs lr, lr, #16",
+        "bpl 3b",
         // r1: leading zeros of the bits that are not copies of the sign, of any of the levels.
         "eor r0, r4, r4, asr #31",
         "eor r1, r5, r5, asr #31",
@@ -410,132 +525,192 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "orrs r0, r1",
         "eor r1, r10, r10, asr #31",
         "orrs r0, r1",
-        "ldr r2, [sp, #56]",
+        "ldr r2, [sp, #28]",
         "lsrs r0, r2",
         "clz r1, r0",
-        // r0: bits of a level; r3: the code with the levels' width; r11: its bits.
-        "ldrd r3, r11, [sp, #80]",
+        // r0: bits of a level; r3: the code; lr: its bits.
+        "ldrd r3, lr, [sp, #148]",
         "rsb r0, r1, #33",
-        "add r11, r11, r1",
-        "cmp r0, #10",
-        "bhi 9f",
-        "cmp r11, #32",
-        "bhi 9f",
-        "movs r1, #1",
-        "sub r12, r11, #1",
-        "lsl r12, r1, r12",
-        "orr r3, r3, r12",
-        "asrs r4, r2",
-        "asrs r5, r2",
-        "asrs r6, r2",
-        "asrs r7, r2",
-        "asr r8, r8, r2",
-        "asr r9, r9, r2",
-        "asr r10, r10, r2",
-        // Three levels side by side in r4; r1: 2^bits, r2: half of it, r6: the highest bit of each.
-        "lsls r1, r0",
-        "lsrs r2, r1, #1",
-        "mla r5, r6, r1, r5",
-        "mla r6, r2, r1, r2",
-        "mla r4, r5, r1, r4",
-        "mla r6, r6, r1, r2",
-        // A negative level has borrowed from its neighbour, which half of a range more gives back.
-        "adds r4, r4, r6",
-        "eors r4, r6",
+        "add lr, lr, r1",
         "cmp r0, #8",
         "bhi 11f",
-        // The other four in r7.
+        "rsbs r1, lr, #32",
+        "blo 9f",
+        // The carry is 1 from here on. r1: 2^bits, r11: half of it.
+        levels!(),
+        // Three levels side by side in r4, four in r7; r6: the highest bit of each.
+        "mla r5, r6, r1, r5",
+        "mla r4, r5, r1, r4",
+        "mla r6, r11, r1, r11",
+        "mla r6, r6, r1, r11",
         "mla r9, r10, r1, r9",
-        "mla r6, r6, r1, r2",
         "mla r8, r9, r1, r8",
         "mla r7, r8, r1, r7",
-        "ldrd r5, r12, [sp, #16]",
-        "adds r7, r7, r6",
-        "eors r7, r6",
-        "ldm r5, {{r8, r9, r10}}",
-        "add r12, r12, r8, lsl #2",
-        "rsb lr, r10, #32",
-        put!("r3", "r11", "r1"),
-        "add r11, r0, r0, lsl #1",
-        put!("r4", "r11", "r1"),
-        "lsl r11, r0, #2",
-        put!("r7", "r11", "r1"),
-        "3:",
-        "ldr r1, [sp, #20]",
-        "sub r12, r12, r1",
-        "lsr r8, r12, #2",
-        "rsb r10, lr, #32",
-        "stm r5, {{r8, r9, r10}}",
-        "ldr r1, [sp, #32]",
-        "cmp r8, r1",
-        "ldm sp, {{r5-r10}}",
-        "ldrd r4, r11, [sp, #24]",
-        "bhs 8f",
-        "cmp r4, #0",
+        // A negative level has borrowed from its neighbour, which half of a range more gives back.
+        "add r4, r4, r6",
+        "eor r4, r4, r6",
+        "mla r6, r6, r1, r11",
+        "add r7, r7, r6",
+        "eor r7, r7, r6",
+        // Before the three, the 1 of the levels' width.
+        "adc r4, r4, r4",
+        "adc r5, r0, r0, lsl #1",
+        "add r1, sp, #124",
+        "ldm r1, {{r8-r12}}",
+        put!("r3", "lr", "r10", "r1"),
+        put!("r4", "r5", "r1", "r2"),
+        "lsls r0, r0, #2",
+        put!("r7", "r0", "r2", "r10"),
+        "17:",
+        "add r0, sp, #108",
+        "ldm r0, {{r4-r7}}",
+        "ldr r1, [sp, #24]",
+        "cmp r12, r1",
+        "bhs 12f",
+        "lsls r4, r4, #1",
         "bne 1b",
         "b 6b",
-        // Four of over 8 bits are more than a word: three in r7 and one in r6.
+        // Four levels of over 8 bits are more than a word: three in r7 and one in r6.
         "11:",
+        "cmp r0, #10",
+        "bhi 9f",
+        "rsbs r1, lr, #32",
+        "blo 9f",
+        levels!(),
+        "mla r5, r6, r1, r5",
+        "mla r4, r5, r1, r4",
+        "mla r6, r11, r1, r11",
+        "mla r6, r6, r1, r11",
         "mla r8, r9, r1, r8",
         "mla r7, r8, r1, r7",
-        "ldrd r5, r12, [sp, #16]",
-        "adds r7, r7, r6",
-        "eors r7, r6",
-        "add r6, r10, r2",
-        "eors r6, r2",
-        "ldm r5, {{r8, r9, r10}}",
-        "add r12, r12, r8, lsl #2",
-        "rsb lr, r10, #32",
-        put!("r3", "r11", "r1"),
-        "add r11, r0, r0, lsl #1",
-        "mov r10, r11",
-        put!("r4", "r11", "r1"),
-        put!("r7", "r10", "r1"),
-        put!("r6", "r0", "r1"),
-        "b 3b",
+        "add r4, r4, r6",
+        "eor r4, r4, r6",
+        "add r7, r7, r6",
+        "eor r7, r7, r6",
+        "add r6, r10, r11",
+        "eor r6, r6, r11",
+        "adc r4, r4, r4",
+        "adc r5, r0, r0, lsl #1",
+        "add r1, sp, #124",
+        "ldm r1, {{r8-r12}}",
+        put!("r3", "lr", "r10", "r1"),
+        "sub lr, r5, #1",
+        put!("r4", "r5", "r1", "r2"),
+        put!("r7", "lr", "r2", "r1"),
+        put!("r6", "r0", "r1", "r10"),
+        "b 17b",
         // Rarely: wide levels or a long place.
         "9:",
-        "ldr r0, [sp, #64]",
-        "add r1, r0, #60",
-        "stm r1, {{r4-r10}}",
-        "add r1, sp, #68",
-        "ldm r1, {{r1-r3}}",
+        "ldr r0, [sp, #156]",
+        "adds r0, #{sums}",
+        "stm r0, {{r4-r10}}",
+        "add r0, sp, #108",
+        "ldm r0, {{r4-r12}}",
+        "ldr r0, [sp, #40]",
+        "cmp r12, r0",
+        "bhs 19f",
+        "bl 41f",
+        "ldr r0, [sp, #156]",
+        "ldrd r1, r2, [sp, #100]",
         "bl {seven_long}",
-        "ldm sp, {{r5-r10}}",
-        "ldrd r4, r11, [sp, #24]",
         "b 10f",
-        // A long gap.
+        // A long gap. r3: as it was before it was turned.
         "7:",
+        "ldr r2, [sp, #20]",
+        "sub r2, lr, r2",
+        "rors r3, r2",
+        "strd r1, r3, [sp, #100]",
         "add r11, r11, #0x10001",
-        "mov r1, r0",
-        "mov r2, r3",
-        "ldr r0, [sp, #64]",
+        "bl 41f",
+        "ldr r0, [sp, #156]",
+        "ldrd r1, r2, [sp, #100]",
         "bl {single_long}",
         "10:",
-        "ldr r0, [r9]",
-        "ldr r1, [sp, #32]",
-        "cmp r0, r1",
-        "bhs 8f",
-        "cmp r4, #0",
+        "bl 40f",
+        "ldr r0, [sp, #24]",
+        "cmp r12, r0",
+        "bhs 12f",
+        "lsls r4, r4, #1",
         "bne 1b",
         "b 6b",
-        // More events than a chunk: as it was before.
-        "5:",
-        "str r2, [r1]",
-        "subs r0, r0, r5",
-        "movs r1, #1",
-        "lsls r1, r0",
-        "orrs r4, r1",
+        // The next 32 segments.
+        "14:",
+        "str r12, [sp, #140]",
+        "ldr r0, [sp, #156]",
+        "add r1, sp, #72",
+        "bl {next_segments}",
+        "ldr r12, [sp, #140]",
+        "ldr r2, [sp, #72]",
+        "movs r1, r0",
+        "bne 15b",
+        "strd r4, r1, [sp, #76]",
+        "b 18f",
+        // No room, should it be the longest.
+        "19:",
+        "ldrd r1, r3, [sp, #100]",
+        "ldr lr, [sp, #144]",
+        "sub r11, r11, #0x10000",
+        "sub r11, r11, r3, lsr #16",
+        // More events than a chunk: as it was before the pixel.
+        "16:",
+        "strd lr, r3, [r7, #-8]!",
+        "subs r1, r1, r5",
+        "rsb r5, r1, #0",
+        "asrs r5, r5, #1",
+        "b 8f",
+        // After a pixel.
+        "12:",
+        "lsls r4, r4, #1",
+        "movs r5, #0",
         "8:",
-        "ldr r0, [sp, #64]",
-        "str r4, [r0, #56]",
-        "mov r0, r11",
-        "add sp, #92",
+        "ldrd r0, r1, [sp, #56]",
+        "subs r7, r7, r0",
+        "lsrs r7, r7, #3",
+        "adds r5, r5, r7",
+        "adds r1, r1, r5",
+        "lsrs r4, r7",
+        "strd r1, r4, [sp, #76]",
+        "18:",
+        "bl 41f",
+        "ldr r0, [sp, #156]",
+        "adds r0, #60",
+        "add r1, sp, #60",
+        "ldm r1, {{r1-r6}}",
+        "stm r0, {{r1-r6}}",
+        "sub r0, r11, #0x8000",
+        "add sp, #164",
         "pop {{r4-r11, pc}}",
-        next_segment = sym next_segment,
+        // r9, r10 and r12 from the writer's position.
+        "40:",
+        "ldr r0, [sp, #156]",
+        "ldrd r1, r2, [r0, #{position}]",
+        "ldm r1, {{r1, r9, r10}}",
+        "add r12, r2, r1, lsl #2",
+        "rsb r10, r10, #32",
+        "movs r0, #1",
+        "lsl r10, r0, r10",
+        "bx lr",
+        // And back.
+        "41:",
+        "ldr r0, [sp, #156]",
+        "ldrd r1, r2, [r0, #{position}]",
+        "sub r2, r12, r2",
+        "lsrs r2, r2, #2",
+        "rbit r3, r10",
+        "clz r3, r3",
+        "rsb r3, r3, #32",
+        "str r2, [r1]",
+        "strd r9, r3, [r1, #4]",
+        "bx lr",
+        next_segments = sym next_segments,
         seven_long = sym seven_long,
         single_long = sym single_long,
         crowded = const (CHUNK_EVENTS + 1) << 16,
+        first = const FIRST,
+        column_at = const COLUMN_SHIFT,
+        column_bits = const COLUMN_BITS,
+        position = const offset_of!(Walk<'_, '_, '_>, position),
+        sums = const offset_of!(Walk<'_, '_, '_>, sums),
         distance_at = const rows::DISTANCE_AT,
         distance_bits = const rows::DISTANCE_BITS,
         one = const rows::ONE << 16,

@@ -29,26 +29,38 @@ pub struct Pixel {
 /// The walk over a window's pixels.
 #[derive(Debug)]
 pub struct Group {
-    cursor: usize,
+    pub(crate) cursor: usize,
     /// First of the 32 segments at hand.
-    first_segment: u32,
+    pub(crate) first_segment: u32,
     /// Those of them still to be visited.
-    segments: u32,
-    segment_x: u16,
-    segment_y: u16,
+    pub(crate) segments: u32,
+    pub(crate) segment_x: u16,
+    pub(crate) segment_y: u16,
     /// Columns of the current segment still to be visited.
-    columns: u32,
-    lists: Lists,
+    pub(crate) columns: u32,
+    /// [`Entry::EMPTY`] where `columns` has no bit.
+    pub(crate) entries: [Entry; 32],
+    /// The segment after that, and its list: on a large sensor both come from far away, and a host
+    /// asks for them before it needs them.
+    #[cfg(target_pointer_width = "64")]
+    ahead: Option<(u32, u32)>,
 }
 
-/// Of each column of a segment.
-#[derive(Debug)]
+/// A column of a segment.
+#[derive(Debug, Clone, Copy)]
 #[repr(C)]
-pub(crate) struct Lists {
-    /// First event; [`NO_SLOT`] where `columns` has no bit.
-    pub(crate) heads: [u32; 32],
-    /// Events; 0 where `columns` has no bit.
-    pub(crate) tallies: [Tally; 32],
+pub(crate) struct Entry {
+    /// First event, or a slot that no buffer has.
+    pub(crate) head: u32,
+    /// Its events.
+    pub(crate) tally: Tally,
+}
+
+impl Entry {
+    const EMPTY: Self = Self {
+        head: NO_SLOT,
+        tally: 0,
+    };
 }
 
 /// Events in the upper half, those that are ON in the lower: no more than a window has slots.
@@ -71,10 +83,9 @@ impl Group {
             segment_x: 0,
             segment_y: 0,
             columns: 0,
-            lists: Lists {
-                heads: [NO_SLOT; 32],
-                tallies: [0; 32],
-            },
+            entries: [Entry::EMPTY; 32],
+            #[cfg(target_pointer_width = "64")]
+            ahead: None,
         }
     }
 
@@ -92,15 +103,15 @@ impl Group {
         };
         let column = columns.trailing_zeros();
         self.columns = columns.get() & (columns.get() - 1);
-        let i = column as usize % 32;
-        let tally = mem::take(&mut self.lists.tallies[i]);
+        let entry = &mut self.entries[column as usize % 32];
+        let Entry { head, tally } = mem::replace(entry, Entry::EMPTY);
         let on = index(tally as Head);
         Some(Pixel {
             x: self.segment_x + column as u16,
             y: self.segment_y,
             on,
             off: (tally >> Head::BITS) as u32 - on,
-            head: mem::replace(&mut self.lists.heads[i], NO_SLOT),
+            head,
         })
     }
 
@@ -108,40 +119,14 @@ impl Group {
     pub const fn put_back(&mut self, pixel: Pixel) {
         let i = (pixel.x % SEGMENT_PIXELS) as usize;
         self.columns |= 1 << i;
-        self.lists.heads[i] = pixel.head;
-        self.lists.tallies[i] = (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally;
+        self.entries[i] = Entry {
+            head: pixel.head,
+            tally: (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally,
+        };
     }
 
-    /// Columns of the segment at hand that were not visited, or of the next one; 0 after the last.
-    /// They count as visited until [`Self::leave`].
-    #[cfg(eecvs_dsp)]
-    #[inline(always)]
-    pub(crate) fn enter(&mut self, window: &mut Window<'_>) -> u32 {
-        match mem::take(&mut self.columns) {
-            0 => self.next_segment(window).map_or(0, NonZeroU32::get),
-            columns => columns,
-        }
-    }
-
-    /// `columns` of the segment at hand were not visited.
-    #[cfg(eecvs_dsp)]
-    pub(crate) const fn leave(&mut self, columns: u32) {
-        self.columns = columns;
-    }
-
-    /// Column and row of the segment at hand.
-    #[cfg(eecvs_dsp)]
-    pub(crate) const fn origin(&self) -> (u16, u16) {
-        (self.segment_x, self.segment_y)
-    }
-
-    /// Lists of the segment at hand.
-    #[cfg(eecvs_dsp)]
-    pub(crate) const fn lists(&mut self) -> &mut Lists {
-        &mut self.lists
-    }
-
-    #[inline(never)]
+    #[cfg_attr(target_pointer_width = "64", inline(always))]
+    #[cfg_attr(not(target_pointer_width = "64"), inline(never))]
     fn next_segment_apart(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
         self.next_segment(window)
     }
@@ -149,14 +134,30 @@ impl Group {
     /// Goes to the next segment and returns its columns.
     #[inline(always)]
     fn next_segment(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
+        #[cfg(target_pointer_width = "64")]
+        let (segment, head) = {
+            let here = match self.ahead {
+                Some(here) => here,
+                None => self.take_segment(window)?,
+            };
+            self.ahead = self.take_segment(window);
+            here
+        };
+        #[cfg(not(target_pointer_width = "64"))]
+        let (segment, head) = self.take_segment(window)?;
+        (self.segment_x, self.segment_y) = window.segment_origin(segment);
+        NonZeroU32::new(self.deal(head, window.slots()))
+    }
+
+    /// The next segment that has events, and its list.
+    #[inline(always)]
+    fn take_segment(&mut self, window: &mut Window<'_>) -> Option<(u32, u32)> {
         if self.segments == 0 {
             (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;
         }
         let segment = self.first_segment + self.segments.leading_zeros();
         self.segments ^= FIRST.rotate_right(segment);
-        (self.segment_x, self.segment_y) = window.segment_origin(segment);
-        let head = window.take_head(segment);
-        NonZeroU32::new(self.deal(head, window.slots()))
+        Some((segment, window.take_head(segment)))
     }
 
     /// Turns a segment's list into one for each column; returns the columns.
@@ -167,8 +168,9 @@ impl Group {
         while let Some(slot) = slots.get_mut(head as usize) {
             let column = slot.column();
             columns |= 1 << column;
-            self.lists.tallies[column as usize] += EVENT + Tally::from(slot.sign());
-            let first = mem::replace(&mut self.lists.heads[column as usize], head);
+            let entry = &mut self.entries[column as usize];
+            entry.tally += EVENT + Tally::from(slot.sign());
+            let first = mem::replace(&mut entry.head, head);
             head = slot.next();
             *slot = slot.with_next(first);
         }

@@ -136,7 +136,12 @@ mod arm {
 
     use super::Intake;
     use crate::evt2::{KIND_SHIFT, LOW_BITS, LOW_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, X_SHIFT};
-    use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_HEAD, Slot};
+    use crate::window::{
+        COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_HEAD, SLOTS_MAX, Slot,
+    };
+
+    /// x where it is in a word, and the bits that an event has not.
+    const X_MASK: u32 = NO_EVENT | (SIDE_MASK << X_SHIFT);
 
     /// What [`take_words`] works on.
     #[repr(C)]
@@ -200,7 +205,7 @@ mod arm {
         (state.word.addr() - range.start.addr()) / size_of::<[u8; 4]>()
     }
 
-    const _: () = assert!(size_of::<Head>() == 2 && NO_HEAD == 0xffff);
+    const _: () = assert!(size_of::<Head>() == 2 && NO_HEAD == 0xffff && SLOTS_MAX < 0x8000);
     const _: () = assert!(NEXT_SHIFT == 16 && COLUMN_SHIFT == X_SHIFT);
     const _: () = assert!(offset_of!(State, span_us) == 32);
 
@@ -208,43 +213,40 @@ mod arm {
     ///
     /// | r0 | r1 | r2 | r3 | r4 | r5 | r6 | r7 | r8 | r9 |
     /// |---|---|---|---|---|---|---|---|---|---|
-    /// | state | word | bytes left | slot | len | heads | heads_len | width | stride | span_us |
+    /// | `X_MASK` | next word | bytes left | slot | len | heads | heads_len | width | stride | span_us |
     ///
-    /// lr is the word, r10 its segment, r11 the segment's head.
+    /// lr is the word, r10 its segment, r11 the segment's head, r12 the link. At sp: state, bitmap.
     macro_rules! event {
         () => {
             "
             ldr lr, [r1], #4
-            bic r12, lr, #{not_x}
+            and r12, lr, r0
             cmp r12, r7
             bhs 5f
             ubfx r10, lr, #0, #{side_bits}
-            lsr r12, r12, #{segment_shift}
-            mla r10, r10, r8, r12
+            lsr r11, r12, #{segment_shift}
+            mla r10, r10, r8, r11
             cmp r10, r6
             bhs 7f
             ldrh r11, [r5, r10, lsl #1]
-            cmp r11, r4
-            blo 4f
-            lsr r12, r10, #5
-            ldr lr, [r0, #{bitmap}]
-            add lr, lr, r12, lsl #2
-            mov r12, #{first}
-            ror r12, r12, r10
-            ldr r11, [lr]
-            orr r11, r11, r12
-            str r11, [lr]
-            movw r11, #{no_head}
-            ldr lr, [r1, #-4]
-        4:
             strh r4, [r5, r10, lsl #1]
-            and r12, lr, #{column}
-            orr r12, r12, lr, lsr #{kind_shift}
-            orr r12, r12, r11, lsl #16
+            // The column is in the lower half; the sign tells the head of an empty list.
+            pkhbt r12, r12, r11, lsl #16
+            orrs r12, r12, lr, lsr #{kind_shift}
             ubfx lr, lr, #{low_shift}, #{low_bits}
             add lr, lr, r9
             strd lr, r12, [r3], #8
             add r4, r4, #1
+            bpl 4f
+            ldr r12, [sp, #4]
+            lsr r11, r10, #5
+            add r12, r12, r11, lsl #2
+            mov r11, #{first}
+            ror r11, r11, r10
+            ldr r10, [r12]
+            orr r10, r10, r11
+            str r10, [r12]
+        4:
             "
         };
     }
@@ -263,13 +265,19 @@ mod arm {
         naked_asm!(
             "
             push {{r4-r11, lr}}
+            sub sp, #12
+            ldr r1, [r0, #{bitmap}]
+            strd r0, r1, [sp]
             ldmia r0, {{r1-r9}}
+            movw r0, #{x_low}
+            movt r0, #{x_high}
+            sub r2, r2, r1
             b 6f
         2:
             ",
-            event!(), event!(), event!(), event!(),
+            event!(), event!(), event!(), event!(), event!(), event!(), event!(), event!(),
             "
-            subs r2, r2, #16
+            subs r2, r2, #32
             bhs 2b
             b 8f
         3:
@@ -279,42 +287,44 @@ mod arm {
             subs r2, r2, #4
             bne 3b
             b 9f
-        5:  // Perhaps a time.
-            ldrd r10, r11, [r0, #{time}]
+        5:  // Perhaps a time. r12: state.
+            ldr r12, [sp]
+            ldrd r10, r11, [r12, #{time}]
             cmp lr, r10
             blo 7f
             cmp lr, r11
             bhi 7f
-            str lr, [r0, #{time}]
-            ldrd r10, r11, [r0, #{zero_us}]
+            str lr, [r12, #{time}]
+            ldrd r10, r11, [r12, #{zero_us}]
             cmp r11, r4
             itt ne
-            strdne r9, r11, [r0, #{before_us}]
-            strne r4, [r0, #{span_at}]
+            strdne r9, r11, [r12, #{before_us}]
+            strne r4, [r12, #{span_at}]
             add r9, r10, lr, lsl #{low_bits}
-            ldr r2, [r0, #{end}]
-        6:
+            ldr r2, [r12, #{end}]
             sub r2, r2, r1
-            subs r2, r2, #16
+        6:
+            subs r2, r2, #32
             bhs 2b
-        8:  // Fewer than four words are left.
-            adds r2, r2, #16
+        8:  // Fewer than eight words are left.
+            adds r2, r2, #32
             bne 3b
             b 9f
         7:  // Not to be taken.
             sub r1, r1, #4
         9:
+            ldr r0, [sp]
             str r1, [r0, #{word}]
             str r4, [r0, #{len}]
             str r9, [r0, #{span_us}]
+            add sp, #12
             pop {{r4-r11, pc}}
             ",
-            not_x = const !(NO_EVENT | (SIDE_MASK << X_SHIFT) | SIDE_MASK),
+            x_low = const X_MASK & 0xffff,
+            x_high = const X_MASK >> 16,
             side_bits = const SIDE_BITS,
             segment_shift = const X_SHIFT + COLUMN_BITS,
             first = const FIRST,
-            no_head = const NO_HEAD,
-            column = const ((1 << COLUMN_BITS) - 1) << COLUMN_SHIFT,
             kind_shift = const KIND_SHIFT,
             low_shift = const LOW_SHIFT,
             low_bits = const LOW_BITS,

@@ -277,43 +277,44 @@ impl Packer {
         }
     }
 
-    /// The same where `before` is what the gap's code comes to, and `rest` holds polarity and cell.
+    /// The same of a pixel whose gap plus 2^g is `shifted`, where `rest` holds polarity and cell. The
+    /// gap after it is not counted from there before [`Self::go_to`].
     #[cfg(eecvs_dsp)]
-    pub(crate) fn single_to(&mut self, before: u32, rest: u32, writer: &mut BitWriter<'_>) {
-        let shifted = self.gap.step(before.wrapping_add(self.gap.less));
+    pub(crate) fn single_after(&self, shifted: u32, rest: u32, writer: &mut BitWriter<'_>) {
         let cell = (rest >> 1, self.cells_log2);
         single_long((self.gap, shifted), rest & 1 == 1, cell, writer);
     }
 
-    /// [`Self::seven`] of a pixel whose gap began from `before`.
+    /// [`Self::seven`], as [`Self::single_after`].
     #[cfg(eecvs_dsp)]
-    pub(crate) fn seven_from(
+    pub(crate) fn seven_after(
         &mut self,
-        before: u32,
-        index: u32,
+        shifted: u32,
         counts: (u32, u32),
         sums: &[i32; 7],
         writer: &mut BitWriter<'_>,
     ) {
-        self.gap.before = before;
-        self.seven_portable(
-            index,
-            counts,
-            (sums, crate::transform::rows::spread(sums)),
-            writer,
-        );
+        self.gap.before = 0;
+        let spread = crate::transform::rows::spread(sums);
+        self.seven_portable(shifted, counts, (sums, spread), writer);
     }
 
-    /// What brings sums of [`rows`] to levels; bits of a level of one event and one.
+    /// The next gap is counted from `next_index`.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn go_to(&mut self, next_index: u32) {
+        self.gap.go_to(next_index);
+    }
+
+    /// Order of the gap code, and where the next gap is counted from.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn gap_parts(&self) -> (u32, u32) {
+        (self.gap.order(), self.gap.next_index())
+    }
+
+    /// What brings sums of [`rows`] to levels; bits of a level of one event.
     #[cfg(eecvs_dsp)]
     pub(crate) const fn level_parts(&self) -> (u32, u32) {
-        (self.shift, self.one_bits + 1)
-    }
-
-    /// Columns of the sensor.
-    #[cfg(eecvs_dsp)]
-    pub(crate) const fn width(&self) -> u32 {
-        self.width
+        (self.shift, self.one_bits)
     }
 
     /// Bits of a single event's cell.

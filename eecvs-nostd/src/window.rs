@@ -98,12 +98,13 @@ pub type Head = u32;
 pub(crate) const NO_SLOT: u32 = u32::MAX >> NEXT_SHIFT;
 const _: () = assert!(SLOTS_MAX <= NO_SLOT as usize);
 
-/// The head of an empty list.
+/// The head of an empty list. Assembly also leaves others beyond [`SLOTS_MAX`], which mean the same.
 pub(crate) const NO_HEAD: Head = NO_SLOT as Head;
 
-/// Most slots of a window on this target: [`EVENTS_MAX`], or what a [`Head`] can address.
-pub const SLOTS_MAX: usize = if (Head::MAX as usize) < EVENTS_MAX {
-    Head::MAX as usize
+/// Most slots of a window on this target: [`EVENTS_MAX`], or what a [`Head`] can address with a bit
+/// to spare, which is the sign that ends a list.
+pub const SLOTS_MAX: usize = if (Head::MAX as usize >> 1) < EVENTS_MAX {
+    Head::MAX as usize >> 1
 } else {
     EVENTS_MAX
 };
@@ -169,9 +170,7 @@ impl<'b> WindowBuffers<'b> {
                 .filter_map(move |share| {
                     let (bitmap, share) = share.split_at_mut_checked(bitmap_words)?;
                     let (heads, share) = share.split_at_mut_checked(heads_words)?;
-                    let events = (share.len() / SLOT_WORDS)
-                        .min(Head::MAX as usize)
-                        .min(EVENTS_MAX);
+                    let events = (share.len() / SLOT_WORDS).min(SLOTS_MAX);
                     let (slots, _) =
                         <[Slot]>::mut_from_prefix_with_elems(share.as_mut_bytes(), events).ok()?;
                     let (heads, _) =
@@ -586,7 +585,7 @@ impl<'b> Window<'b> {
     #[inline]
     pub(crate) fn take_segments(&mut self, cursor: &mut usize) -> Option<(u32, u32)> {
         let words = self.bitmap.get_mut(*cursor..)?;
-        let at = words.iter().position(|bits| *bits != 0)?;
+        let at = first_used(words)?;
         let segment = (*cursor + at) as u32 * 32;
         *cursor += at + 1;
         Some((segment, core::mem::take(words.get_mut(at)?)))
@@ -605,6 +604,12 @@ impl<'b> Window<'b> {
         self.slots
     }
 
+    /// Slots, heads, and segments in a row, for assembly.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn parts(&mut self) -> (&mut [Slot], &mut [Head], NonZeroU32) {
+        (self.slots, self.heads, self.stride)
+    }
+
     /// Position of a segment's first pixel.
     #[inline]
     pub(crate) fn segment_origin(&self, segment: u32) -> (u16, u16) {
@@ -612,6 +617,20 @@ impl<'b> Window<'b> {
         let x = (segment - y * self.stride.get()) * u32::from(SEGMENT_PIXELS);
         (x as u16, y as u16)
     }
+}
+
+/// Index of the first word that has bits.
+#[inline(always)]
+fn first_used(words: &[u32]) -> Option<usize> {
+    // On a large sensor few of them have: a host looks at several at once.
+    let mut skipped = 0;
+    if cfg!(target_pointer_width = "64") {
+        let (chunks, _) = words.as_chunks::<16>();
+        let is_empty = |chunk: &&[u32; 16]| chunk.iter().fold(0, |all, bits| all | bits) == 0;
+        skipped = 16 * chunks.iter().take_while(is_empty).count();
+    }
+    let rest = words.get(skipped..)?;
+    Some(skipped + rest.iter().position(|bits| *bits != 0)?)
 }
 
 /// What is known of the largest offset: enough to find it in the slots when it is asked for.
