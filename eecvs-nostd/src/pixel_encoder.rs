@@ -13,7 +13,7 @@ use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::trace::{Stage, Trace};
 use crate::transform::rows::{self, Cosines};
-use crate::transform::{Basis, Dct, Rule, Transform};
+use crate::transform::{Basis, Dct, Dwt, Rule, Transform, lanes};
 use crate::window::{Slot, Window};
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
@@ -30,6 +30,21 @@ pub(crate) fn is_few(packing: &Packing) -> bool {
 /// Words that a pixel takes at the most where [`is_few`] holds: counts and gap, 3 * 31 bits and 3;
 /// a width of up to 32 bits, 7 levels of 32; and what was there before.
 const FEW_WORDS_MAX: usize = 3 + 1 + 7 + 1;
+
+/// Whether the Haar differences of a pixel are bytes in a few words, and its levels are the
+/// differences themselves, so that [`PixelEncoder::encode_lanes`] has them; W of it then.
+pub(crate) fn lanes_words(packing: &Packing) -> Option<usize> {
+    let is_fine = packing.transform == Transform::Dwt && packing.quantiser.step_log2() <= 0;
+    match usize::from(packing.grid) {
+        ..=16 if is_fine => Some(4),
+        ..=lanes::GRID if is_fine => Some(8),
+        _ => None,
+    }
+}
+
+/// Words that a pixel takes at the most in [`PixelEncoder::encode_lanes`]: counts and gap; the set;
+/// a width and a level for each, of up to 32 bits; and what was there before.
+const LANES_WORDS_MAX: usize = 4 + 1 + lanes::GRID + 1;
 
 /// What turns the pixels of a frame into bits, one after the other.
 pub(crate) struct PixelEncoder<'e, 'b> {
@@ -143,6 +158,64 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             pixels += 1;
         }
         (events, pixels, saturated)
+    }
+
+    /// Encodes pixels while the output has room for any, where [`lanes_words`] gives W. Returns
+    /// events, pixels, and how many levels saturated.
+    #[inline(never)]
+    pub(crate) fn encode_lanes<const W: usize, T: Trace>(
+        &mut self,
+        group: &mut Group,
+        window: &mut Window<'_>,
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> (u32, u32, u32) {
+        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
+        while writer.has_words(LANES_WORDS_MAX) {
+            trace.enter(Stage::Group);
+            let Some(pixel) = group.next(window) else {
+                break;
+            };
+            let slots = window.slots();
+            let here = pixel.on + pixel.off;
+            match here {
+                1 => self.encode_single::<Dwt, T>(pixel, slots, writer, trace),
+                2..=CHUNK_EVENTS_U32 => self.encode_bytes::<W, T>(pixel, slots, writer, trace),
+                _ => {
+                    let saturates = self.encode_crowded::<Dwt, T>(pixel, slots, writer, trace);
+                    saturated = saturated.saturating_add(saturates);
+                }
+            }
+            events += here;
+            pixels += 1;
+        }
+        (events, pixels, saturated)
+    }
+
+    /// A pixel of 2 events to a chunk's, its differences as bytes.
+    #[inline(always)]
+    fn encode_bytes<const W: usize, T: Trace>(
+        &mut self,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        trace.enter(Stage::Accumulate);
+        let bins_log2 = self.shape.grid.trailing_zeros();
+        let mut sums = lanes::sum::<W>(Impulses::new(pixel, slots), self.scale, bins_log2);
+        trace.enter(Stage::Prune);
+        let mut kept = sums.nonzero();
+        if kept.count_ones() > self.shape.r as u32 {
+            kept = lanes::largest(sums, pixel.on + pixel.off, self.shape.r as u32);
+            sums = sums.keep(kept);
+        }
+        trace.enter(Stage::Quantise);
+        let (levels, spread) = sums.levels();
+        trace.enter(Stage::Pack);
+        let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
+        self.packer
+            .bytes(position, counts, (kept, levels, spread), writer);
     }
 
     /// A pixel of one event, whose coefficients follow from its time.

@@ -2,7 +2,8 @@
 
 use core::cell::Cell;
 
-use super::{Basis, Impulse, Oscillators, Rule, Transform};
+use super::lanes::Lanes;
+use super::{Basis, Impulse, Oscillators, Rule, Transform, lanes};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
@@ -42,6 +43,13 @@ impl Basis for Dwt {
     ) {
         debug_assert!(grid.is_power_of_two());
         let bins_log2 = grid.trailing_zeros();
+        if grid <= lanes::GRID {
+            return if grid <= lanes::GRID / 2 {
+                widen(lanes::sum::<4>(impulses, scale, bins_log2), grid, sums)
+            } else {
+                widen(lanes::sum::<8>(impulses, scale, bins_log2), grid, sums)
+            };
+        }
         let bin = |impulse: &Impulse| scale.bin(impulse.offset_us, bins_log2) as usize;
         let sign = |impulse: &Impulse| {
             if impulse.is_on {
@@ -177,6 +185,16 @@ impl Basis for Dwt {
             let value = if is_first_half { value } else { -value };
             each(((1 << scale) + m) as u16, sign * value, 0.0);
         }
+    }
+}
+
+/// Bytes to sums, but for c_0.
+#[inline(always)]
+fn widen<const W: usize>(lanes: Lanes<W>, grid: usize, sums: &mut [Sum]) {
+    let bytes = lanes.into_bytes();
+    let sums = sums.iter_mut().zip(bytes.as_flattened());
+    for (sum, byte) in sums.take(grid).skip(1) {
+        *sum = Sum::from_num(byte.cast_signed());
     }
 }
 
