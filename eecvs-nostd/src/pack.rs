@@ -234,6 +234,18 @@ impl Packer {
         writer: &mut BitWriter<'_>,
     ) {
         let index = u32::from(y) * self.width + u32::from(x);
+        self.bytes_at(index, (on, off), (kept, levels, spread), writer);
+    }
+
+    /// The same for a raster index.
+    #[inline(always)]
+    pub(crate) fn bytes_at<const W: usize>(
+        &mut self,
+        index: u32,
+        (on, off): (u32, u32),
+        (kept, levels, spread): (u32, Lanes<W>, u32),
+        writer: &mut BitWriter<'_>,
+    ) {
         let grid = u32::from(self.packing.grid);
         writer.aside(|writer| {
             let (code, code_bits) = self.place_code(index, (on, off), writer);

@@ -2,8 +2,6 @@
 
 use crate::bits::BitWriter;
 use crate::encoder::Scratch;
-#[cfg(eecvs_dsp)]
-use crate::few_dsp;
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
 use crate::group::{Group, Impulses, Pixel};
 use crate::pack::Packer;
@@ -15,6 +13,8 @@ use crate::trace::{Stage, Trace};
 use crate::transform::rows::{self, Cosines};
 use crate::transform::{Basis, Dct, Dwt, Rule, Transform, lanes};
 use crate::window::{Slot, Window};
+#[cfg(eecvs_dsp)]
+use crate::{few_dsp, lanes_dsp};
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
 
@@ -171,8 +171,21 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) -> (u32, u32, u32) {
         let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
+        #[cfg(eecvs_dsp)]
+        let walks = self.walks_lanes::<T>();
         while writer.has_words(LANES_WORDS_MAX) {
             trace.enter(Stage::Group);
+            #[cfg(eecvs_dsp)]
+            if let Some((duration_us, r)) = walks {
+                let room = (&mut *writer, LANES_WORDS_MAX);
+                let (some, places) =
+                    lanes_dsp::walk((group, window), duration_us, r, &mut self.packer, room);
+                events += some;
+                pixels += places;
+                if !writer.has_words(LANES_WORDS_MAX) {
+                    break;
+                }
+            }
             let Some(pixel) = group.next(window) else {
                 break;
             };
@@ -192,6 +205,17 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (events, pixels, saturated)
     }
 
+    /// Duration and r, where [`lanes_dsp`] has a walk for them.
+    #[cfg(eecvs_dsp)]
+    const fn walks_lanes<T: Trace>(&self) -> Option<(u32, u32)> {
+        let Shape { grid, r, .. } = self.shape;
+        let is_one = grid == 1 << lanes_dsp::BINS_LOG2 && r as u32 <= lanes_dsp::KEPT_MAX;
+        match self.scale.divisor(lanes_dsp::BINS_LOG2) {
+            Some(duration_us) if is_one && !T::LISTENS => Some((duration_us, r as u32)),
+            _ => None,
+        }
+    }
+
     /// A pixel of 2 events to a chunk's, its differences as bytes.
     #[inline(always)]
     fn encode_bytes<const W: usize, T: Trace>(
@@ -205,13 +229,15 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         let bins_log2 = self.shape.grid.trailing_zeros();
         let mut sums = lanes::sum::<W>(Impulses::new(pixel, slots), self.scale, bins_log2);
         trace.enter(Stage::Prune);
-        let mut kept = sums.nonzero();
-        if kept.count_ones() > self.shape.r as u32 {
+        let nonzero = sums.nonzero();
+        let mut kept = nonzero.bits();
+        if nonzero.count() > self.shape.r as u32 {
             kept = lanes::largest(sums, pixel.on + pixel.off, self.shape.r as u32);
             sums = sums.keep(kept);
         }
         trace.enter(Stage::Quantise);
-        let (levels, spread) = sums.levels();
+        let levels = sums.levels();
+        let spread = levels.spread();
         trace.enter(Stage::Pack);
         let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
         self.packer

@@ -111,16 +111,46 @@ mod portable {
     #[derive(Debug, Clone, Copy, PartialEq, Eq)]
     pub struct Lanes<const W: usize>([u32; W]);
 
+    /// A 1 in some lanes of [`Lanes`].
+    #[derive(Debug, Clone, Copy)]
+    pub struct Flags<const W: usize>([u32; W]);
+
+    impl<const W: usize> Flags<W> {
+        /// How many.
+        #[inline(always)]
+        pub fn count(self) -> u32 {
+            let all = self.0.iter().fold(0, |all: u32, word| all + word);
+            all.wrapping_mul(ONES) >> 24
+        }
+
+        /// A bit each.
+        #[inline(always)]
+        pub fn bits(self) -> u32 {
+            let words = self.0.iter().rev();
+            words.fold(0, |bits, word| (bits << 4) | gather(*word))
+        }
+    }
+
+    /// A 1 in the lanes that are `threshold` or above; all of both are below 128.
+    #[cfg(not(eecvs_dsp))]
+    #[inline(always)]
+    const fn reach(word: u32, threshold: u32) -> u32 {
+        ((word | SIGNS).wrapping_sub(threshold) & SIGNS) >> 7
+    }
+
+    #[cfg(eecvs_dsp)]
+    use super::dsp::reach;
+
     /// All bits of the lanes whose sign is set in `signs`, which has no others.
     #[inline(always)]
     const fn spread_signs(signs: u32) -> u32 {
         (signs >> 7) * 0xff
     }
 
-    /// The sign of each lane as a bit.
+    /// Lanes of 0 and 1 as a bit each.
     #[inline(always)]
-    const fn gather_signs(signs: u32) -> u32 {
-        (signs >> 7).wrapping_mul(0x1020_4080) >> 28
+    const fn gather(ones: u32) -> u32 {
+        ones.wrapping_mul(0x1020_4080) >> 28
     }
 
     impl<const W: usize> Lanes<W> {
@@ -143,18 +173,13 @@ mod portable {
             Self(self.0.map(|word| word.wrapping_add(SIGNS) ^ SIGNS))
         }
 
+        /// The lanes that are not 0.
         #[inline(always)]
-        fn gather(self, signs: impl Fn(usize, u32) -> u32) -> u32 {
-            let words = self.0.iter().enumerate().rev();
-            words.fold(0, |bits, (i, word)| {
-                (bits << 4) | gather_signs(signs(i, *word) & SIGNS)
-            })
-        }
-
-        /// The lanes that are not 0, as a bit each.
-        #[inline(always)]
-        pub fn nonzero(self) -> u32 {
-            self.gather(|_, word| ((word & !SIGNS) + !SIGNS) | word)
+        pub fn nonzero(self) -> Flags<W> {
+            Flags(
+                self.0
+                    .map(|word| ((((word & !SIGNS) + !SIGNS) | word) & SIGNS) >> 7),
+            )
         }
 
         /// |D_k|
@@ -168,12 +193,13 @@ mod portable {
 
         /// The lanes of magnitudes that reach `a`.
         #[inline(always)]
-        pub fn reach(self, a: u32) -> u32 {
+        pub fn reach(self, a: u32) -> Flags<W> {
             let thresholds = thresholds(a);
-            self.gather(|i, word| {
-                let threshold = thresholds[THRESHOLD_OF_WORD[i % WORDS]];
-                (word | SIGNS).wrapping_sub(threshold)
-            })
+            let mut words = self.0;
+            for (i, word) in words.iter_mut().enumerate() {
+                *word = reach(*word, thresholds[THRESHOLD_OF_WORD[i % WORDS]]);
+            }
+            Flags(words)
         }
 
         /// Clears the lanes that are not in `kept`.
@@ -187,20 +213,39 @@ mod portable {
             Self(words)
         }
 
-        /// The levels: positive ones move down by one. And the bits that are not copies of the sign,
-        /// of any of them but c_0.
+        /// The levels: positive ones move down by one.
         #[inline(always)]
-        pub fn levels(self) -> (Self, u32) {
+        pub fn levels(self) -> Self {
+            Self(self.0.map(|word| {
+                let positive = ((word & !SIGNS) + !SIGNS) & !word & SIGNS;
+                word - (positive >> 7)
+            }))
+        }
+
+        /// The bits that are not copies of the sign, of any lane but that of c_0.
+        #[inline(always)]
+        pub fn spread(self) -> u32 {
             let mut spread = 0;
-            let mut words = self.0;
-            for (i, word) in words.iter_mut().enumerate() {
-                let positive = ((*word & !SIGNS) + !SIGNS) & !*word & SIGNS;
-                *word -= positive >> 7;
-                let folded = *word ^ spread_signs(*word & SIGNS);
+            for (i, word) in self.0.into_iter().enumerate() {
+                let folded = word ^ spread_signs(word & SIGNS);
                 spread |= if i == 0 { folded & !0xff } else { folded };
             }
             spread |= spread >> 16;
-            (Self(words), (spread | (spread >> 8)) & 0xff)
+            (spread | (spread >> 8)) & 0xff
+        }
+
+        /// From words of bytes.
+        #[cfg(eecvs_dsp)]
+        #[inline(always)]
+        pub const fn new(words: [u32; W]) -> Self {
+            Self(words)
+        }
+
+        /// The words of bytes.
+        #[cfg(eecvs_dsp)]
+        #[inline(always)]
+        pub const fn into_words(self) -> [u32; W] {
+            self.0
         }
 
         /// Byte k is D_k, or its level.
@@ -211,16 +256,38 @@ mod portable {
     }
 }
 
+/// Two instructions for four.
+#[cfg(eecvs_dsp)]
+#[allow(unsafe_code)]
+mod dsp {
+    use super::ONES;
+
+    /// A 1 in the lanes of `word` that are as large as those of `threshold`.
+    #[inline(always)]
+    pub fn reach(word: u32, threshold: u32) -> u32 {
+        let flags;
+        // SAFETY: reads and writes registers and the flags alone; the build script sets `eecvs_dsp`
+        // only for cores that have the instructions.
+        unsafe {
+            core::arch::asm!("usub8 {flags}, {word}, {threshold}", "sel {flags}, {ones}, {zero}",
+                flags = out(reg) flags, word = in(reg) word, threshold = in(reg) threshold,
+                ones = in(reg) ONES, zero = in(reg) 0, options(pure, nomem, nostack));
+        }
+        flags
+    }
+}
+
 /// The same bits sixteen lanes at a time: every x86-64 has it.
 #[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
 #[allow(unsafe_code)]
 mod sse2 {
     use core::arch::x86_64::{
         __m128i, _mm_add_epi8, _mm_add_epi32, _mm_and_si128, _mm_andnot_si128, _mm_cmpeq_epi8,
-        _mm_cmpgt_epi8, _mm_cvtsi128_si64, _mm_loadu_si128, _mm_movemask_epi8, _mm_or_si128,
-        _mm_set_epi32, _mm_set1_epi8, _mm_set1_epi16, _mm_set1_epi32, _mm_set1_epi64x,
-        _mm_setzero_si128, _mm_shuffle_epi32, _mm_shufflelo_epi16, _mm_storeu_si128, _mm_sub_epi8,
-        _mm_sub_epi32, _mm_unpackhi_epi64, _mm_unpacklo_epi8, _mm_xor_si128,
+        _mm_cmpgt_epi8, _mm_cvtsi128_si32, _mm_cvtsi128_si64, _mm_loadu_si128, _mm_movemask_epi8,
+        _mm_or_si128, _mm_sad_epu8, _mm_set_epi32, _mm_set1_epi8, _mm_set1_epi16, _mm_set1_epi32,
+        _mm_set1_epi64x, _mm_setzero_si128, _mm_shuffle_epi32, _mm_shufflelo_epi16,
+        _mm_storeu_si128, _mm_sub_epi8, _mm_sub_epi32, _mm_unpackhi_epi64, _mm_unpacklo_epi8,
+        _mm_xor_si128,
     };
 
     use super::{Row, SIGNS, thresholds};
@@ -228,6 +295,36 @@ mod sse2 {
     /// As the portable ones; the upper half is 0 where W is 4.
     #[derive(Debug, Clone, Copy)]
     pub struct Lanes<const W: usize>([__m128i; 2]);
+
+    /// All bits in some lanes of [`Lanes`].
+    #[derive(Debug, Clone, Copy)]
+    pub struct Flags<const W: usize>(Lanes<W>);
+
+    impl<const W: usize> Flags<W> {
+        #[inline(always)]
+        pub fn count(self) -> u32 {
+            let mut count = 0;
+            for half in self.0.0.into_iter().take(Lanes::<W>::HALVES) {
+                // SAFETY: as for `Lanes`. 1 for each lane, summed up eight by eight.
+                count += unsafe {
+                    let ones = _mm_sub_epi8(_mm_setzero_si128(), half);
+                    let sums = _mm_sad_epu8(ones, _mm_setzero_si128());
+                    _mm_cvtsi128_si32(_mm_add_epi32(sums, _mm_unpackhi_epi64(sums, sums)))
+                };
+            }
+            count.cast_unsigned()
+        }
+
+        #[inline(always)]
+        pub fn bits(self) -> u32 {
+            let mut bits = 0;
+            for (i, half) in self.0.0.into_iter().enumerate().take(Lanes::<W>::HALVES) {
+                // SAFETY: as for `Lanes`.
+                bits |= unsafe { _mm_movemask_epi8(half) }.cast_unsigned() << (16 * i);
+            }
+            bits
+        }
+    }
 
     // SAFETY of all blocks: the module is there only where the target has SSE2.
     impl<const W: usize> Lanes<W> {
@@ -267,19 +364,11 @@ mod sse2 {
         }
 
         #[inline(always)]
-        fn gather(self, lanes: impl Fn(usize, __m128i) -> __m128i) -> u32 {
-            let mut bits = 0;
-            for (i, half) in self.0.into_iter().enumerate().take(Self::HALVES) {
-                let here = unsafe { _mm_movemask_epi8(lanes(i, half)) };
-                bits |= here.cast_unsigned() << (16 * i);
-            }
-            bits
-        }
-
-        #[inline(always)]
-        pub fn nonzero(self) -> u32 {
-            let zero = self.gather(|_, half| unsafe { _mm_cmpeq_epi8(half, _mm_setzero_si128()) });
-            !zero & (u32::MAX >> (32 - 4 * W))
+        pub fn nonzero(self) -> Flags<W> {
+            Flags(self.map(|_, half| unsafe {
+                let zero = _mm_cmpeq_epi8(half, _mm_setzero_si128());
+                _mm_xor_si128(zero, _mm_set1_epi8(-1))
+            }))
         }
 
         #[inline(always)]
@@ -291,9 +380,9 @@ mod sse2 {
         }
 
         #[inline(always)]
-        pub fn reach(self, a: u32) -> u32 {
+        pub fn reach(self, a: u32) -> Flags<W> {
             let [low, second, third, fourth] = thresholds(a).map(u32::cast_signed);
-            self.gather(|i, half| unsafe {
+            Flags(self.map(|i, half| unsafe {
                 let thresholds = if i == 0 {
                     _mm_set_epi32(third, third, second, low)
                 } else {
@@ -301,7 +390,7 @@ mod sse2 {
                 };
                 // Magnitudes and thresholds are below 128.
                 _mm_cmpgt_epi8(half, _mm_sub_epi8(thresholds, _mm_set1_epi8(1)))
-            })
+            }))
         }
 
         #[inline(always)]
@@ -317,13 +406,17 @@ mod sse2 {
         }
 
         #[inline(always)]
-        pub fn levels(self) -> (Self, u32) {
-            let levels = self.map(|_, half| unsafe {
+        pub fn levels(self) -> Self {
+            self.map(|_, half| unsafe {
                 _mm_add_epi8(half, _mm_cmpgt_epi8(half, _mm_setzero_si128()))
-            });
-            unsafe {
-                let mut spread = _mm_setzero_si128();
-                for (i, half) in levels.0.into_iter().enumerate().take(Self::HALVES) {
+            })
+        }
+
+        #[inline(always)]
+        pub fn spread(self) -> u32 {
+            let mut spread = unsafe { _mm_setzero_si128() };
+            for (i, half) in self.0.into_iter().enumerate().take(Self::HALVES) {
+                unsafe {
                     let negative = _mm_cmpgt_epi8(_mm_setzero_si128(), half);
                     let mut folded = _mm_xor_si128(half, negative);
                     if i == 0 {
@@ -331,12 +424,14 @@ mod sse2 {
                     }
                     spread = _mm_or_si128(spread, folded);
                 }
-                let spread = _mm_or_si128(spread, _mm_unpackhi_epi64(spread, spread));
-                let mut spread = _mm_cvtsi128_si64(spread).cast_unsigned();
-                spread |= spread >> 32;
-                spread |= spread >> 16;
-                (levels, ((spread | (spread >> 8)) & 0xff) as u32)
             }
+            let spread = unsafe {
+                let spread = _mm_or_si128(spread, _mm_unpackhi_epi64(spread, spread));
+                _mm_cvtsi128_si64(spread).cast_unsigned()
+            };
+            let spread = spread as u32 | (spread >> 32) as u32;
+            let spread = spread | (spread >> 16);
+            (spread | (spread >> 8)) & 0xff
         }
 
         #[inline(always)]
@@ -397,23 +492,20 @@ pub fn largest<const W: usize>(sums: Lanes<W>, events: u32, r: u32) -> u32 {
     // More than r reach `low`, fewer reach `high`. |c_k| of events anywhere is about the root of
     // their number.
     let (mut low, mut high, mut a) = (1, 257, 2 + events / 16);
-    let (mut band, mut above) = (u32::MAX, 0);
     while high - low > 1 {
         let reached = magnitudes.reach(a);
-        match reached.count_ones().cmp(&r) {
-            Ordering::Equal => return reached,
-            Ordering::Greater => (low, band) = (a, reached),
-            Ordering::Less => (high, above) = (a, reached),
+        match reached.count().cmp(&r) {
+            Ordering::Equal => return reached.bits(),
+            Ordering::Greater => low = a,
+            Ordering::Less => high = a,
         }
         // Up by doubling, as most are far below 257.
         a = (2 * low).min((low + high) / 2);
     }
-    if low == 1 {
-        band = sums.nonzero();
-    }
+    let above = magnitudes.reach(high).bits();
     // Of those between, all of the odd scales are B sqrt 2 with one B, above those of the even ones,
     // which are `low`.
-    band &= !above;
+    let band = magnitudes.reach(low).bits() & !above;
     let mut kept = above;
     let mut left = r.wrapping_sub(above.count_ones());
     for ties in [band & ODD, band & !ODD] {
@@ -484,15 +576,21 @@ mod tests {
             bits.fold(0_u32, |bits, (k, d)| bits | (u32::from(is_in(k, *d)) << k))
         };
         let nonzero = mask(&|_, d| d != 0);
-        assert_eq!((portable.nonzero(), lanes.nonzero()), (nonzero, nonzero));
+        let (p, l) = (portable.nonzero(), lanes.nonzero());
+        assert_eq!((p.bits(), l.bits()), (nonzero, nonzero));
+        assert_eq!(
+            (p.count(), l.count()),
+            (nonzero.count_ones(), nonzero.count_ones())
+        );
         for a in 1..=257 {
             let square = |x: i32| i64::from(x) * i64::from(x);
             let reach = mask(&|k, d| square(d) << scale_of(k) >= square(a));
-            let (p, l) = (portable.magnitudes(), lanes.magnitudes());
+            let p = portable.magnitudes().reach(a as u32);
+            let l = lanes.magnitudes().reach(a as u32);
+            assert_eq!((p.bits(), l.bits()), (reach, reach), "{a}");
             assert_eq!(
-                (p.reach(a as u32), l.reach(a as u32)),
-                (reach, reach),
-                "{a}"
+                (p.count(), l.count()),
+                (reach.count_ones(), reach.count_ones())
             );
         }
         let kept = 0x9a3c_56d1_u32.rotate_left(r);
@@ -504,13 +602,12 @@ mod tests {
 
         let down: Vec<i32> = all.iter().map(|d| d - i32::from(*d > 0)).collect();
         let spread = down.iter().skip(1).fold(0, |all, l| all | (l ^ (l >> 31)));
-        let (levels, bits) = portable.levels();
+        let (p, l) = (portable.levels(), lanes.levels());
         assert_eq!(
-            (values(levels.into_bytes()), bits),
+            (values(p.into_bytes()), p.spread()),
             (down.clone(), spread as u32)
         );
-        let (levels, bits) = lanes.levels();
-        assert_eq!((values(levels.into_bytes()), bits), (down, spread as u32));
+        assert_eq!((values(l.into_bytes()), l.spread()), (down, spread as u32));
 
         if nonzero.count_ones() > r {
             let mut order: Vec<usize> = (0..4 * W).collect();
