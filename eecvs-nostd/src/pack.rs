@@ -226,7 +226,7 @@ impl Packer {
     /// differences are bytes: its place, the set of those in `kept`, and their levels, of which no
     /// other lane has any. The output has room for it.
     #[inline(always)]
-    pub fn bytes<const W: usize>(
+    pub(crate) fn bytes<const W: usize>(
         &mut self,
         (x, y): (u16, u16),
         (on, off): (u32, u32),

@@ -6,8 +6,6 @@
 //! and a half of a lane's range more brings them back apart. No butterflies, and no list of
 //! coefficients: what is 0, what is kept and what a level is are told for four lanes at a time.
 
-use core::cmp::Ordering;
-
 use super::Impulse;
 use super::dwt::scale_of;
 use crate::fixed_point::CHUNK_EVENTS;
@@ -76,7 +74,7 @@ const fn odd_lanes() -> u32 {
 }
 
 /// Of each word of a row, the least |D| of its lanes whose magnitudes |D| 2^(j/2) reach `a`, 1 to
-/// 257; up to 127, as no lane is above 64.
+/// 255; cut to 127 where lanes are compared as signed, as no lane is above 64.
 #[inline(always)]
 const fn thresholds(a: u32) -> [u32; 4] {
     // ceil(a / 2^(j/2)): sqrt 2 is irrational, and for the others ceil(ceil(a / 2) / 2) = ceil(a / 4).
@@ -85,18 +83,21 @@ const fn thresholds(a: u32) -> [u32; 4] {
     let scale2 = a.div_ceil(2);
     let scale3 = scale1.div_ceil(2);
     let scale4 = scale2.div_ceil(2);
-    let [scale0, scale1] = [least(scale0, 127), least(scale1, 127)];
     [
-        (scale0 + (scale1 << 16)) * 0x101,
-        least(scale2, 127) * ONES,
+        (cut(scale0) + (cut(scale1) << 16)) * 0x101,
+        cut(scale2) * ONES,
         scale3 * ONES,
         scale4 * ONES,
     ]
 }
 
 #[inline(always)]
-const fn least(a: u32, b: u32) -> u32 {
-    if a < b { a } else { b }
+const fn cut(threshold: u32) -> u32 {
+    if cfg!(eecvs_dsp) || threshold < 127 {
+        threshold
+    } else {
+        127
+    }
 }
 
 /// Where a lane's word has its thresholds.
@@ -131,6 +132,9 @@ mod portable {
         }
     }
 
+    #[cfg(eecvs_dsp)]
+    use super::dsp::{nonzero, reach};
+
     /// A 1 in the lanes that are `threshold` or above; all of both are below 128.
     #[cfg(not(eecvs_dsp))]
     #[inline(always)]
@@ -138,8 +142,12 @@ mod portable {
         ((word | SIGNS).wrapping_sub(threshold) & SIGNS) >> 7
     }
 
-    #[cfg(eecvs_dsp)]
-    use super::dsp::reach;
+    /// A 1 in the lanes that are not 0.
+    #[cfg(not(eecvs_dsp))]
+    #[inline(always)]
+    const fn nonzero(word: u32) -> u32 {
+        ((((word & !SIGNS) + !SIGNS) | word) & SIGNS) >> 7
+    }
 
     /// All bits of the lanes whose sign is set in `signs`, which has no others.
     #[inline(always)]
@@ -274,6 +282,12 @@ mod dsp {
                 ones = in(reg) ONES, zero = in(reg) 0, options(pure, nomem, nostack));
         }
         flags
+    }
+
+    /// A 1 in the lanes of `word` that are not 0.
+    #[inline(always)]
+    pub fn nonzero(word: u32) -> u32 {
+        reach(word, ONES)
     }
 }
 
@@ -448,9 +462,9 @@ mod sse2 {
 }
 
 #[cfg(not(all(target_arch = "x86_64", target_feature = "sse2")))]
-pub use portable::Lanes;
+pub use portable::{Flags, Lanes};
 #[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
-pub use sse2::Lanes;
+pub use sse2::{Flags, Lanes};
 
 /// D_k of at most [`CHUNK_EVENTS`] impulses for K = 2^`bins_log2` up to 4 W, whose c_0 = D_0 is
 /// on - off.
@@ -468,12 +482,12 @@ pub fn sum<const W: usize>(
         // Always a row: the offset is below T.
         sums.add(&ROWS[bin as usize % GRID], negative);
     }
-    cut(sums.bytes(), bins_log2)
+    narrow(sums.bytes(), bins_log2)
 }
 
 /// Clears the lanes that a smaller K has not.
 #[inline(always)]
-fn cut<const W: usize>(sums: Lanes<W>, bins_log2: u32) -> Lanes<W> {
+fn narrow<const W: usize>(sums: Lanes<W>, bins_log2: u32) -> Lanes<W> {
     if 1 << bins_log2 < 4 * W {
         sums.keep(!(u32::MAX << (1 << bins_log2)))
     } else {
@@ -489,25 +503,32 @@ fn cut<const W: usize>(sums: Lanes<W>, bins_log2: u32) -> Lanes<W> {
 #[inline(never)]
 pub fn largest<const W: usize>(sums: Lanes<W>, events: u32, r: u32) -> u32 {
     let magnitudes = sums.magnitudes();
-    // More than r reach `low`, fewer reach `high`. |c_k| of events anywhere is about the root of
-    // their number.
-    let (mut low, mut high, mut a) = (1, 257, 2 + events / 16);
+    // More than r reach `low`, and fewer `high`; or one reaches 256, and r is 1.
+    let (mut low, mut high) = (1, 256);
+    let mut reach_low = sums.nonzero();
+    let mut reach_high = None;
+    let mut left = r;
+    // |c_k| of events anywhere is about the root of their number.
+    let mut a = 2 + events / 16;
     while high - low > 1 {
         let reached = magnitudes.reach(a);
-        match reached.count().cmp(&r) {
-            Ordering::Equal => return reached.bits(),
-            Ordering::Greater => low = a,
-            Ordering::Less => high = a,
+        let count = reached.count();
+        if count == r {
+            return reached.bits();
         }
-        // Up by doubling, as most are far below 257.
+        if count > r {
+            (low, reach_low) = (a, reached);
+        } else {
+            (high, reach_high, left) = (a, Some(reached), r - count);
+        }
+        // Up by doubling, as most are far below 256.
         a = (2 * low).min((low + high) / 2);
     }
-    let above = magnitudes.reach(high).bits();
+    let above = reach_high.map_or(0, Flags::bits);
     // Of those between, all of the odd scales are B sqrt 2 with one B, above those of the even ones,
     // which are `low`.
-    let band = magnitudes.reach(low).bits() & !above;
+    let band = reach_low.bits() & !above;
     let mut kept = above;
-    let mut left = r.wrapping_sub(above.count_ones());
     for ties in [band & ODD, band & !ODD] {
         let mut ties = ties;
         while ties != 0 && left != 0 {
@@ -582,7 +603,7 @@ mod tests {
             (p.count(), l.count()),
             (nonzero.count_ones(), nonzero.count_ones())
         );
-        for a in 1..=257 {
+        for a in 1..=255 {
             let square = |x: i32| i64::from(x) * i64::from(x);
             let reach = mask(&|k, d| square(d) << scale_of(k) >= square(a));
             let p = portable.magnitudes().reach(a as u32);

@@ -6,7 +6,7 @@
 pub mod dct;
 pub mod dtft;
 pub mod dwt;
-pub mod lanes;
+pub(crate) mod lanes;
 pub mod oscillator;
 pub mod rows;
 
