@@ -12,7 +12,7 @@ use core::mem::offset_of;
 
 use crate::bits::{BitWriter, Position};
 use crate::fixed_point::CHUNK_EVENTS;
-use crate::group::{Group, Lists};
+use crate::group::{Group, Impulses, Lists};
 use crate::pack::Packer;
 use crate::transform::lanes::{self, Lanes, Row, Rows};
 use crate::window::{COLUMN_SHIFT, NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window};
@@ -202,6 +202,127 @@ macro_rules! event {
             "mls r7, r12, r10, r7\n",
         )
     };
+}
+
+/// The differences of a pixel of `group` on 4 W bins, as [`lanes::sum`] has them.
+///
+/// # Safety
+/// `impulses` are those of a pixel whose list [`Group`] has made of the slots, of which there are
+/// some. `duration_us` is below 2^27, and all offsets below it.
+#[inline(always)]
+pub unsafe fn sum<const W: usize>(impulses: &Impulses<'_>, duration_us: u32) -> Lanes<W> {
+    let (slots, index) = impulses.parts();
+    let mut sums = Sums {
+        rows: lanes::table(),
+        duration_us,
+        words: [0; W],
+    };
+    let to = (&raw mut sums).cast();
+    // SAFETY: by the caller, every link is a slot or the end, and every bin a row. The functions
+    // write W words of `sums`. The build script sets `eecvs_dsp` only for cores that have the
+    // instructions.
+    unsafe {
+        if W == 4 {
+            sum_16(slots.as_ptr(), index, to);
+        } else {
+            sum_32(slots.as_ptr(), index, to);
+        }
+    }
+    Lanes::of_biased(sums.words)
+}
+
+/// What [`sum`] sums up.
+#[repr(C)]
+struct Sums<const W: usize> {
+    rows: *const Rows,
+    duration_us: u32,
+    words: [u32; W],
+}
+
+const _: () = assert!(offset_of!(Sums<8>, words) == 8);
+
+/// As in the walk.
+#[unsafe(naked)]
+unsafe extern "C" fn sum_16(slots: *const Slot, index: u32, sums: *mut ()) {
+    naked_asm!(
+        "push {{r2, r4-r10, r11, lr}}",
+        "ldrd r8, r9, [r2]",
+        "add r1, r0, r1, lsl #3",
+        "ldrd r1, lr, [r1]",
+        "ubfx r2, lr, #13, #3",
+        "subs r0, r0, r2",
+        "mov r4, #0x80808080",
+        "mov r5, r4",
+        "mov r6, r4",
+        "mov r7, r4",
+        event!(),
+        "cmn lr, #0x10000",
+        "bcs 3f",
+        "2:",
+        "add r1, r0, lr, lsr #13",
+        "ldrd r1, lr, [r1]",
+        event!(),
+        "cmn lr, #0x10000",
+        "bcc 2b",
+        "3:",
+        "pop {{r2}}",
+        "adds r2, #8",
+        "stm r2, {{r4-r7}}",
+        "pop {{r4-r11, pc}}",
+        bins_log2 = const BINS_LOG2,
+    )
+}
+
+/// Eight words are all registers: table and duration stay in memory.
+#[unsafe(naked)]
+unsafe extern "C" fn sum_32(slots: *const Slot, index: u32, sums: *mut ()) {
+    naked_asm!(
+        "push {{r2, r4-r10, r11, lr}}",
+        "ldrd r2, r3, [r2]",
+        "push {{r2, r3}}",
+        "add r1, r0, r1, lsl #3",
+        "ldr lr, [r1, #4]",
+        "ubfx r2, lr, #13, #3",
+        "subs r0, r0, r2",
+        "mov r4, #0x80808080",
+        "mov r5, r4",
+        "mov r6, r4",
+        "mov r7, r4",
+        "mov r8, r4",
+        "mov r9, r4",
+        "mov r10, r4",
+        "mov r11, r4",
+        "b 3f",
+        "2:",
+        "add r1, r0, lr, lsr #13",
+        "3:",
+        "ldrd r1, lr, [r1]",
+        "ldrd r2, r3, [sp]",
+        "lsls r1, r1, #5",
+        "udiv r1, r1, r3",
+        "add r1, r2, r1, lsl #5",
+        // r12: -1 for ON, 1 for OFF.
+        "sbfx r12, lr, #0, #1",
+        "orr r12, r12, #1",
+        "ldrd r2, r3, [r1]",
+        "mls r4, r2, r12, r4",
+        "mls r5, r3, r12, r5",
+        "ldrd r2, r3, [r1, #8]",
+        "mls r6, r2, r12, r6",
+        "mls r7, r3, r12, r7",
+        "ldrd r2, r3, [r1, #16]",
+        "mls r8, r2, r12, r8",
+        "mls r9, r3, r12, r9",
+        "ldrd r2, r3, [r1, #24]",
+        "mls r10, r2, r12, r10",
+        "mls r11, r3, r12, r11",
+        "cmn lr, #0x10000",
+        "bcc 2b",
+        "pop {{r1, r2, r3}}",
+        "adds r3, #8",
+        "stm r3, {{r4-r11}}",
+        "pop {{r4-r11, pc}}",
+    )
 }
 
 /// Returns pixels << 16 and events.

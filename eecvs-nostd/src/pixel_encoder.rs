@@ -10,6 +10,7 @@ use crate::phase::PhaseScale;
 use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::trace::{Stage, Trace};
+use crate::transform::lanes::Lanes;
 use crate::transform::rows::{self, Cosines};
 use crate::transform::{Basis, Dct, Dwt, Rule, Transform, lanes};
 use crate::window::{Slot, Window};
@@ -205,6 +206,21 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (events, pixels, saturated)
     }
 
+    /// The differences of a pixel that a group gave.
+    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, allow(unsafe_code))]
+    fn sum_lanes<const W: usize>(&self, impulses: &Impulses<'_>) -> Lanes<W> {
+        let bins_log2 = self.shape.grid.trailing_zeros();
+        #[cfg(eecvs_dsp)]
+        if self.shape.grid == 4 * W
+            && let Some(duration_us) = self.scale.divisor(bins_log2)
+        {
+            // SAFETY: the list is the group's, of events of this window, and has some.
+            return unsafe { lanes_dsp::sum(impulses, duration_us) };
+        }
+        lanes::sum(impulses.clone(), self.scale, bins_log2)
+    }
+
     /// Duration and r, where [`lanes_dsp`] has a walk for them.
     #[cfg(eecvs_dsp)]
     const fn walks_lanes<T: Trace>(&self) -> Option<(u32, u32)> {
@@ -226,8 +242,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) {
         trace.enter(Stage::Accumulate);
-        let bins_log2 = self.shape.grid.trailing_zeros();
-        let mut sums = lanes::sum::<W>(Impulses::new(pixel, slots), self.scale, bins_log2);
+        let mut sums = self.sum_lanes::<W>(&Impulses::new(pixel, slots));
         trace.enter(Stage::Prune);
         let nonzero = sums.nonzero();
         let mut kept = nonzero.bits();

@@ -13,8 +13,8 @@ use crate::quantise::Levels;
 /// The Haar wavelet transform (eq. 6), for sparse windows; h is +1 on [0, 1/2), -1 on [1/2, 1).
 ///
 /// `[Impulse; n] -> [Sum; K]`, K a power of two. The sums hold the integers
-/// D_k = c_k / 2^(j/2), |D_k| <= n: a fine histogram and K - 1 butterflies, exact. The irrational
-/// scale is left to whoever needs the value, so that pruning compares D^2 2^j, an integer, and ties
+/// D_k = c_k / 2^(j/2), |D_k| <= n, exact: rows of bytes for K up to 32, as the file `lanes.rs` has
+/// it, else a fine histogram and K - 1 butterflies. The irrational scale is left to whoever needs the value, so that pruning compares D^2 2^j, an integer, and ties
 /// are exact.
 #[derive(Debug, Clone, Copy)]
 pub struct Dwt;

@@ -242,6 +242,13 @@ mod portable {
             (spread | (spread >> 8)) & 0xff
         }
 
+        /// From sums of rows that began from half of a lane's range.
+        #[cfg(eecvs_dsp)]
+        #[inline(always)]
+        pub fn of_biased(words: [u32; W]) -> Self {
+            Self(words.map(|word| word ^ SIGNS))
+        }
+
         /// From words of bytes.
         #[cfg(eecvs_dsp)]
         #[inline(always)]
