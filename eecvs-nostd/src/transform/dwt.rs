@@ -44,11 +44,12 @@ impl Basis for Dwt {
         debug_assert!(grid.is_power_of_two());
         let bins_log2 = grid.trailing_zeros();
         if grid <= lanes::GRID {
-            return if grid <= lanes::GRID / 2 {
-                widen(lanes::sum::<4>(impulses, scale, bins_log2), grid, sums)
+            if grid <= lanes::GRID / 2 {
+                widen(lanes::sum::<4>(impulses, scale, bins_log2), grid, sums);
             } else {
-                widen(lanes::sum::<8>(impulses, scale, bins_log2), grid, sums)
-            };
+                widen(lanes::sum::<8>(impulses, scale, bins_log2), grid, sums);
+            }
+            return;
         }
         let bin = |impulse: &Impulse| scale.bin(impulse.offset_us, bins_log2) as usize;
         let sign = |impulse: &Impulse| {

@@ -120,7 +120,7 @@ mod portable {
         /// How many.
         #[inline(always)]
         pub fn count(self) -> u32 {
-            let all = self.0.iter().fold(0, |all: u32, word| all + word);
+            let all: u32 = self.0.iter().sum();
             all.wrapping_mul(ONES) >> 24
         }
 
@@ -184,10 +184,7 @@ mod portable {
         /// The lanes that are not 0.
         #[inline(always)]
         pub fn nonzero(self) -> Flags<W> {
-            Flags(
-                self.0
-                    .map(|word| ((((word & !SIGNS) + !SIGNS) | word) & SIGNS) >> 7),
-            )
+            Flags(self.0.map(nonzero))
         }
 
         /// |D_k|
@@ -326,7 +323,7 @@ mod sse2 {
         pub fn count(self) -> u32 {
             let mut count = 0;
             for half in self.0.0.into_iter().take(Lanes::<W>::HALVES) {
-                // SAFETY: as for `Lanes`. 1 for each lane, summed up eight by eight.
+                // SAFETY: the target has SSE2. 1 for each lane, summed up eight by eight.
                 count += unsafe {
                     let ones = _mm_sub_epi8(_mm_setzero_si128(), half);
                     let sums = _mm_sad_epu8(ones, _mm_setzero_si128());
@@ -340,19 +337,19 @@ mod sse2 {
         pub fn bits(self) -> u32 {
             let mut bits = 0;
             for (i, half) in self.0.0.into_iter().enumerate().take(Lanes::<W>::HALVES) {
-                // SAFETY: as for `Lanes`.
+                // SAFETY: the target has SSE2.
                 bits |= unsafe { _mm_movemask_epi8(half) }.cast_unsigned() << (16 * i);
             }
             bits
         }
     }
 
-    // SAFETY of all blocks: the module is there only where the target has SSE2.
     impl<const W: usize> Lanes<W> {
         const HALVES: usize = W / 4;
 
         #[inline(always)]
         pub fn zero() -> Self {
+            // SAFETY: the target has SSE2.
             Self([unsafe { _mm_setzero_si128() }; 2])
         }
 
@@ -368,6 +365,7 @@ mod sse2 {
         #[inline(always)]
         pub fn add(&mut self, row: &Row, negative: u32) {
             let (rows, _) = row.as_chunks::<4>();
+            // SAFETY: the target has SSE2.
             *self = self.map(|i, sum| unsafe {
                 let negative = _mm_set1_epi32(negative.cast_signed());
                 // Four words are the 16 bytes that are read, at any alignment.
@@ -378,6 +376,7 @@ mod sse2 {
 
         #[inline(always)]
         pub fn bytes(self) -> Self {
+            // SAFETY: the target has SSE2.
             self.map(|_, sum| unsafe {
                 let signs = _mm_set1_epi32(SIGNS.cast_signed());
                 _mm_xor_si128(_mm_add_epi32(sum, signs), signs)
@@ -386,6 +385,7 @@ mod sse2 {
 
         #[inline(always)]
         pub fn nonzero(self) -> Flags<W> {
+            // SAFETY: the target has SSE2.
             Flags(self.map(|_, half| unsafe {
                 let zero = _mm_cmpeq_epi8(half, _mm_setzero_si128());
                 _mm_xor_si128(zero, _mm_set1_epi8(-1))
@@ -394,6 +394,7 @@ mod sse2 {
 
         #[inline(always)]
         pub fn magnitudes(self) -> Self {
+            // SAFETY: the target has SSE2.
             self.map(|_, half| unsafe {
                 let negative = _mm_cmpgt_epi8(_mm_setzero_si128(), half);
                 _mm_sub_epi8(_mm_xor_si128(half, negative), negative)
@@ -403,6 +404,7 @@ mod sse2 {
         #[inline(always)]
         pub fn reach(self, a: u32) -> Flags<W> {
             let [low, second, third, fourth] = thresholds(a).map(u32::cast_signed);
+            // SAFETY: the target has SSE2.
             Flags(self.map(|i, half| unsafe {
                 let thresholds = if i == 0 {
                     _mm_set_epi32(third, third, second, low)
@@ -416,6 +418,7 @@ mod sse2 {
 
         #[inline(always)]
         pub fn keep(self, kept: u32) -> Self {
+            // SAFETY: the target has SSE2.
             self.map(|i, half| unsafe {
                 // A byte of `kept` to each half of the lanes, of which each looks at its bit.
                 let kept = _mm_set1_epi16((kept >> (16 * i)) as i16);
@@ -428,6 +431,7 @@ mod sse2 {
 
         #[inline(always)]
         pub fn levels(self) -> Self {
+            // SAFETY: the target has SSE2.
             self.map(|_, half| unsafe {
                 _mm_add_epi8(half, _mm_cmpgt_epi8(half, _mm_setzero_si128()))
             })
@@ -435,8 +439,10 @@ mod sse2 {
 
         #[inline(always)]
         pub fn spread(self) -> u32 {
+            // SAFETY: the target has SSE2.
             let mut spread = unsafe { _mm_setzero_si128() };
             for (i, half) in self.0.into_iter().enumerate().take(Self::HALVES) {
+                // SAFETY: the target has SSE2.
                 unsafe {
                     let negative = _mm_cmpgt_epi8(_mm_setzero_si128(), half);
                     let mut folded = _mm_xor_si128(half, negative);
@@ -446,6 +452,7 @@ mod sse2 {
                     spread = _mm_or_si128(spread, folded);
                 }
             }
+            // SAFETY: the target has SSE2.
             let spread = unsafe {
                 let spread = _mm_or_si128(spread, _mm_unpackhi_epi64(spread, spread));
                 _mm_cvtsi128_si64(spread).cast_unsigned()
