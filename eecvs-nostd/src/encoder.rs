@@ -10,7 +10,7 @@ use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, N
 use crate::group::Group;
 use crate::packing::PIXEL_BYTES_MAX;
 use crate::phase::PhaseScale;
-use crate::pixel_encoder::{PixelEncoder, is_few, lanes_words};
+use crate::pixel_encoder::{PixelEncoder, is_few, is_lanes};
 use crate::prune::Kept;
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
@@ -325,14 +325,9 @@ impl<'b> WindowEncoder<'b> {
             (events, pixels, saturated) =
                 encoder.encode_few(&mut self.group, window, writer, trace);
         }
-        if B::TRANSFORM as u8 == Transform::Dwt as u8
-            && let Some(words) = lanes_words(&packing)
-        {
-            (events, pixels, saturated) = if words == 4 {
-                encoder.encode_lanes::<4, _>(&mut self.group, window, writer, trace)
-            } else {
-                encoder.encode_lanes::<8, _>(&mut self.group, window, writer, trace)
-            };
+        if B::TRANSFORM as u8 == Transform::Dwt as u8 && is_lanes(&packing, scale) {
+            (events, pixels, saturated) =
+                encoder.encode_lanes(&mut self.group, window, writer, trace);
         }
         let mut is_last = true;
         while let Some(pixel) = self.group.next(window) {

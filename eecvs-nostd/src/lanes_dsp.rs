@@ -14,6 +14,8 @@ use crate::bits::{BitWriter, Position};
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::group::{Group, Impulses, Lists};
 use crate::pack::Packer;
+use crate::packing::Shape;
+use crate::phase::PhaseScale;
 use crate::transform::lanes::{self, Lanes, Row, Rows};
 use crate::window::{COLUMN_SHIFT, NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window};
 
@@ -21,6 +23,20 @@ use crate::window::{COLUMN_SHIFT, NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window};
 pub const BINS_LOG2: u32 = 4;
 /// Most that are kept: their levels of up to 3 bits are below a 1 in a word.
 pub const KEPT_MAX: u32 = 10;
+
+/// What [`walk`] or [`sum`] divide by, for the shapes and windows that they are for.
+pub const fn divisor(shape: Shape, scale: PhaseScale) -> Option<u32> {
+    let is_one = match shape.grid {
+        16 => shape.r as u32 <= KEPT_MAX,
+        lanes::GRID => true,
+        _ => false,
+    };
+    if is_one {
+        scale.divisor(lanes::GRID_LOG2)
+    } else {
+        None
+    }
+}
 
 /// What the assembly knows. The first part is copied to its stack.
 #[repr(C)]
@@ -143,7 +159,9 @@ unsafe extern "C" fn bytes_long(walk: &mut Walk<'_, '_, '_>, index: u32, tally: 
     // SAFETY: see `walk`; nothing else has a reference while this runs.
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
     let on = tally & 0xffff;
-    let levels = Lanes::new(walk.lanes);
+    let [a, b, c, d] = walk.lanes;
+    // As for 32 bins, which an image has the code for anyway.
+    let levels = Lanes::new([a, b, c, d, 0, 0, 0, 0]);
     let counts = (on, (tally >> 16) - on);
     packer.bytes_at(index, counts, (kept, levels, levels.spread()), writer);
 }

@@ -238,7 +238,8 @@ impl Packer {
     }
 
     /// The same for a raster index.
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     pub(crate) fn bytes_at<const W: usize>(
         &mut self,
         index: u32,

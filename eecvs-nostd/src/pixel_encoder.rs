@@ -33,14 +33,17 @@ pub(crate) fn is_few(packing: &Packing) -> bool {
 const FEW_WORDS_MAX: usize = 3 + 1 + 7 + 1;
 
 /// Whether the Haar differences of a pixel are bytes in a few words, and its levels are the
-/// differences themselves, so that [`PixelEncoder::encode_lanes`] has them; W of it then.
-pub(crate) fn lanes_words(packing: &Packing) -> Option<usize> {
-    let is_fine = packing.transform == Transform::Dwt && packing.quantiser.step_log2() <= 0;
-    match usize::from(packing.grid) {
-        ..=16 if is_fine => Some(4),
-        ..=lanes::GRID if is_fine => Some(8),
-        _ => None,
-    }
+/// differences themselves: [`PixelEncoder::encode_lanes`] is for these.
+pub(crate) fn is_lanes(packing: &Packing, scale: PhaseScale) -> bool {
+    let is_small = packing.transform == Transform::Dwt
+        && usize::from(packing.grid) <= lanes::GRID
+        && packing.quantiser.step_log2() <= 0;
+    // In an image only what there is assembly for: its portable twin has no place there.
+    #[cfg(eecvs_dsp)]
+    let is_small = is_small && lanes_dsp::divisor(packing.shape(), scale).is_some();
+    #[cfg(not(eecvs_dsp))]
+    let _ = scale;
+    is_small
 }
 
 /// Words that a pixel takes at the most in [`PixelEncoder::encode_lanes`]: counts and gap; the set;
@@ -88,7 +91,9 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             self.encode_single::<B, T>(pixel, slots, writer, trace);
             return 0;
         }
-        if events as usize > CHUNK_EVENTS {
+        // In an image the pixels that have no code of their own share that of the widest sums.
+        let is_rare = cfg!(eecvs_dsp) && B::TRANSFORM as u8 == Transform::Dwt as u8;
+        if is_rare || events as usize > CHUNK_EVENTS {
             return self.encode_crowded::<B, T>(pixel, slots, writer, trace);
         }
         trace.enter(Stage::Accumulate);
@@ -161,10 +166,26 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (events, pixels, saturated)
     }
 
-    /// Encodes pixels while the output has room for any, where [`lanes_words`] gives W. Returns
-    /// events, pixels, and how many levels saturated.
+    /// Encodes pixels where [`is_lanes`] holds while the output has room for any. Returns events,
+    /// pixels, and how many levels saturated.
+    #[inline(always)]
+    pub(crate) fn encode_lanes<T: Trace>(
+        &mut self,
+        group: &mut Group,
+        window: &mut Window<'_>,
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> (u32, u32, u32) {
+        if self.shape.grid <= lanes::GRID / 2 {
+            self.encode_lanes_of::<4, T>(group, window, writer, trace)
+        } else {
+            self.encode_lanes_of::<8, T>(group, window, writer, trace)
+        }
+    }
+
+    /// [`Self::encode_lanes`] with lanes of W words.
     #[inline(never)]
-    pub(crate) fn encode_lanes<const W: usize, T: Trace>(
+    fn encode_lanes_of<const W: usize, T: Trace>(
         &mut self,
         group: &mut Group,
         window: &mut Window<'_>,
@@ -172,12 +193,14 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) -> (u32, u32, u32) {
         let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
-        #[cfg(eecvs_dsp)]
-        let walks = self.walks_lanes::<T>();
         while writer.has_words(LANES_WORDS_MAX) {
             trace.enter(Stage::Group);
             #[cfg(eecvs_dsp)]
-            if let Some((duration_us, r)) = walks {
+            if W == 4
+                && !T::LISTENS
+                && let Some(duration_us) = lanes_dsp::divisor(self.shape, self.scale)
+            {
+                let r = self.shape.r as u32;
                 let room = (&mut *writer, LANES_WORDS_MAX);
                 let (some, places) =
                     lanes_dsp::walk((group, window), duration_us, r, &mut self.packer, room);
@@ -192,6 +215,11 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             };
             let slots = window.slots();
             let here = pixel.on + pixel.off;
+            if cfg!(eecvs_dsp) && W == 4 && !T::LISTENS && here <= CHUNK_EVENTS_U32 {
+                // Never: the walk has all of these.
+                group.put_back(pixel);
+                break;
+            }
             match here {
                 1 => self.encode_single::<Dwt, T>(pixel, slots, writer, trace),
                 2..=CHUNK_EVENTS_U32 => self.encode_bytes::<W, T>(pixel, slots, writer, trace),
@@ -210,26 +238,19 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
     #[inline(always)]
     #[cfg_attr(eecvs_dsp, allow(unsafe_code))]
     fn sum_lanes<const W: usize>(&self, impulses: &Impulses<'_>) -> Lanes<W> {
-        let bins_log2 = self.shape.grid.trailing_zeros();
         #[cfg(eecvs_dsp)]
-        if self.shape.grid == 4 * W
-            && let Some(duration_us) = self.scale.divisor(bins_log2)
         {
+            // Never 0: `is_lanes` has asked.
+            let duration_us = lanes_dsp::divisor(self.shape, self.scale).unwrap_or(u32::MAX);
             // SAFETY: the list is the group's, of events of this window, and has some.
-            return unsafe { lanes_dsp::sum(impulses, duration_us) };
+            unsafe { lanes_dsp::sum(impulses, duration_us) }
         }
-        lanes::sum(impulses.clone(), self.scale, bins_log2)
-    }
-
-    /// Duration and r, where [`lanes_dsp`] has a walk for them.
-    #[cfg(eecvs_dsp)]
-    const fn walks_lanes<T: Trace>(&self) -> Option<(u32, u32)> {
-        let Shape { grid, r, .. } = self.shape;
-        let is_one = grid == 1 << lanes_dsp::BINS_LOG2 && r as u32 <= lanes_dsp::KEPT_MAX;
-        match self.scale.divisor(lanes_dsp::BINS_LOG2) {
-            Some(duration_us) if is_one && !T::LISTENS => Some((duration_us, r as u32)),
-            _ => None,
-        }
+        #[cfg(not(eecvs_dsp))]
+        lanes::sum(
+            impulses.clone(),
+            self.scale,
+            self.shape.grid.trailing_zeros(),
+        )
     }
 
     /// A pixel of 2 events to a chunk's, its differences as bytes.

@@ -43,7 +43,8 @@ impl Basis for Dwt {
     ) {
         debug_assert!(grid.is_power_of_two());
         let bins_log2 = grid.trailing_zeros();
-        if grid <= lanes::GRID {
+        // Where few pixels come this way, an image has the histogram alone.
+        if grid <= lanes::GRID && !cfg!(eecvs_dsp) {
             if grid <= lanes::GRID / 2 {
                 widen(lanes::sum::<4>(impulses, scale, bins_log2), grid, sums);
             } else {
@@ -51,54 +52,7 @@ impl Basis for Dwt {
             }
             return;
         }
-        let bin = |impulse: &Impulse| scale.bin(impulse.offset_us, bins_log2) as usize;
-        let sign = |impulse: &Impulse| {
-            if impulse.is_on {
-                Sum::ONE
-            } else {
-                Sum::NEG_ONE
-            }
-        };
-        if impulses.clone().nth(FEW_EVENTS).is_none() {
-            // Each adds to one coefficient of every scale, from the finest on.
-            let differences = sums.get_mut(..grid).unwrap_or_default();
-            differences.fill(Sum::ZERO);
-            for impulse in impulses {
-                let sign = sign(&impulse);
-                let mut node = grid + bin(&impulse);
-                while node > 1 {
-                    let is_second_half = node % 2 == 1;
-                    node /= 2;
-                    if let Some(difference) = differences.get_mut(node) {
-                        *difference += if is_second_half { -sign } else { sign };
-                    }
-                }
-            }
-            return;
-        }
-        let (differences, bins) = sums.split_at_mut_checked(grid).unwrap_or_default();
-        let bins = bins.get_mut(..grid).unwrap_or_default();
-        bins.fill(Sum::ZERO);
-        for impulse in impulses.take(CHUNK_EVENTS) {
-            // Always there: the offset is below T.
-            if let Some(sum) = bins.get_mut(bin(&impulse)) {
-                *sum += sign(&impulse);
-            }
-        }
-        // At scale j the pairs of 2^(j+1) bins become their sum, a bin of the next coarser scale,
-        // and their difference, D at k = 2^j + m.
-        let bins = Cell::from_mut(bins).as_slice_of_cells();
-        let (pairs, _) = bins.as_chunks::<2>();
-        let mut half = grid / 2;
-        while half > 0 {
-            let differences = differences.get_mut(half..2 * half).unwrap_or_default();
-            for ((bin, [first, second]), difference) in bins.iter().zip(pairs).zip(differences) {
-                let (first, second) = (first.get(), second.get());
-                *difference = first - second;
-                bin.set(first + second);
-            }
-            half /= 2;
-        }
+        accumulate_many(impulses, scale, grid, sums);
     }
 
     /// Those that are not 0, the r largest of them where they are more; out of these go the ones
@@ -186,6 +140,65 @@ impl Basis for Dwt {
             let value = if is_first_half { value } else { -value };
             each(((1 << scale) + m) as u16, sign * value, 0.0);
         }
+    }
+}
+
+/// [`Dwt`]'s sums on any grid. Apart: once for pixels of one chunk and of several.
+#[inline(never)]
+fn accumulate_many(
+    impulses: impl Iterator<Item = Impulse> + Clone,
+    scale: PhaseScale,
+    grid: usize,
+    sums: &mut [Sum],
+) {
+    let bins_log2 = grid.trailing_zeros();
+    let bin = |impulse: &Impulse| scale.bin(impulse.offset_us, bins_log2) as usize;
+    let sign = |impulse: &Impulse| {
+        if impulse.is_on {
+            Sum::ONE
+        } else {
+            Sum::NEG_ONE
+        }
+    };
+    if impulses.clone().nth(FEW_EVENTS).is_none() {
+        // Each adds to one coefficient of every scale, from the finest on.
+        let differences = sums.get_mut(..grid).unwrap_or_default();
+        differences.fill(Sum::ZERO);
+        for impulse in impulses {
+            let sign = sign(&impulse);
+            let mut node = grid + bin(&impulse);
+            while node > 1 {
+                let is_second_half = node % 2 == 1;
+                node /= 2;
+                if let Some(difference) = differences.get_mut(node) {
+                    *difference += if is_second_half { -sign } else { sign };
+                }
+            }
+        }
+        return;
+    }
+    let (differences, bins) = sums.split_at_mut_checked(grid).unwrap_or_default();
+    let bins = bins.get_mut(..grid).unwrap_or_default();
+    bins.fill(Sum::ZERO);
+    for impulse in impulses.take(CHUNK_EVENTS) {
+        // Always there: the offset is below T.
+        if let Some(sum) = bins.get_mut(bin(&impulse)) {
+            *sum += sign(&impulse);
+        }
+    }
+    // At scale j the pairs of 2^(j+1) bins become their sum, a bin of the next coarser scale,
+    // and their difference, D at k = 2^j + m.
+    let bins = Cell::from_mut(bins).as_slice_of_cells();
+    let (pairs, _) = bins.as_chunks::<2>();
+    let mut half = grid / 2;
+    while half > 0 {
+        let differences = differences.get_mut(half..2 * half).unwrap_or_default();
+        for ((bin, [first, second]), difference) in bins.iter().zip(pairs).zip(differences) {
+            let (first, second) = (first.get(), second.get());
+            *difference = first - second;
+            bin.set(first + second);
+        }
+        half /= 2;
     }
 }
 
