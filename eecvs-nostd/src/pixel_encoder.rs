@@ -240,7 +240,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
     fn sum_lanes<const W: usize>(&self, impulses: &Impulses<'_>) -> Lanes<W> {
         #[cfg(eecvs_dsp)]
         {
-            // Never 0: `is_lanes` has asked.
+            // Always there: `is_lanes` has asked.
             let duration_us = lanes_dsp::divisor(self.shape, self.scale).unwrap_or(u32::MAX);
             // SAFETY: the list is the group's, of events of this window, and has some.
             unsafe { lanes_dsp::sum(impulses, duration_us) }
