@@ -10,7 +10,7 @@ use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, N
 use crate::group::Group;
 use crate::packing::PIXEL_BYTES_MAX;
 use crate::phase::PhaseScale;
-use crate::pixel_encoder::{PixelEncoder, is_few};
+use crate::pixel_encoder::{PixelEncoder, is_few, is_lanes};
 use crate::prune::Kept;
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
@@ -321,6 +321,10 @@ impl<'b> WindowEncoder<'b> {
         if B::TRANSFORM as u8 == Transform::Dct as u8 && is_few(&packing) {
             (events, pixels, saturated) =
                 encoder.encode_few(&mut self.group, window, writer, trace);
+        }
+        if B::TRANSFORM as u8 == Transform::Dwt as u8 && is_lanes(&packing, scale) {
+            (events, pixels, saturated) =
+                encoder.encode_lanes(&mut self.group, window, writer, trace);
         }
         let mut is_last = true;
         while let Some(pixel) = self.group.next(window) {

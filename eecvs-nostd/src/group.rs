@@ -125,6 +125,16 @@ impl Group {
         };
     }
 
+    /// Takes the columns of the segment at hand that are still to be visited or, where there are none,
+    /// of the next one, for a walk in assembly to visit; 0 after the last.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn enter(&mut self, window: &mut Window<'_>) -> u32 {
+        match mem::take(&mut self.columns) {
+            0 => self.next_segment_apart(window).map_or(0, NonZeroU32::get),
+            columns => columns,
+        }
+    }
+
     #[cfg_attr(target_pointer_width = "64", inline(always))]
     #[cfg_attr(not(target_pointer_width = "64"), inline(never))]
     fn next_segment_apart(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {

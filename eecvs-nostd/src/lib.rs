@@ -30,6 +30,8 @@ pub mod group;
 pub mod ingest;
 mod intake;
 pub mod kernel;
+#[cfg(eecvs_dsp)]
+mod lanes_dsp;
 pub mod link;
 pub mod link_source;
 pub mod pack;

@@ -5,6 +5,7 @@ use crate::descriptor::{Coded, Descriptor};
 use crate::packing::{MASK_GRID_MAX, Packing, width_of};
 use crate::prune::Kept;
 use crate::quantise::{Levels, highest_bits, side_by_side};
+use crate::transform::lanes::Lanes;
 use crate::transform::rows::Cosines;
 use crate::transform::{M_MAX, Rule, Transform};
 
@@ -221,6 +222,66 @@ impl Packer {
         });
     }
 
+    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events, whole, whose Haar
+    /// differences are bytes: its place, the set of those in `kept`, and their levels, of which no
+    /// other lane has any. The output has room for it.
+    #[inline(always)]
+    pub(crate) fn bytes<const W: usize>(
+        &mut self,
+        (x, y): (u16, u16),
+        (on, off): (u32, u32),
+        (kept, levels, spread): (u32, Lanes<W>, u32),
+        writer: &mut BitWriter<'_>,
+    ) {
+        let index = u32::from(y) * self.width + u32::from(x);
+        self.bytes_at(index, (on, off), (kept, levels, spread), writer);
+    }
+
+    /// The same for a raster index.
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    pub(crate) fn bytes_at<const W: usize>(
+        &mut self,
+        index: u32,
+        (on, off): (u32, u32),
+        (kept, levels, spread): (u32, Lanes<W>, u32),
+        writer: &mut BitWriter<'_>,
+    ) {
+        let grid = u32::from(self.packing.grid);
+        writer.aside(|writer| {
+            let (code, code_bits) = self.place_code(index, (on, off), writer);
+            if code_bits + grid <= 32 {
+                writer.put_here(code | (kept << (code_bits & 31)), code_bits + grid);
+            } else {
+                writer.put_clean(code, code_bits);
+                writer.put_clean(kept, grid);
+            }
+            let mut left = kept & !1;
+            if left == 0 {
+                return;
+            }
+            let bits = width_of(spread) + 1;
+            // Up to n events in a lane of bytes: 7 bits are the widest level.
+            let narrower = width_of((on + off).wrapping_sub(1)) + 1 - bits;
+            let (mut word, mut word_bits) = (1 << (narrower & 31), narrower + 1);
+            let bytes = levels.into_bytes();
+            let bytes = bytes.as_flattened();
+            let mask = !(u32::MAX << (bits & 31));
+            while left != 0 {
+                let k = left.trailing_zeros() as usize;
+                left &= left - 1;
+                if word_bits + bits > 32 {
+                    writer.put_here(word, word_bits);
+                    (word, word_bits) = (0, 0);
+                }
+                let byte = u32::from(bytes[k % (4 * W)]);
+                word |= (byte & mask) << (word_bits & 31);
+                word_bits += bits;
+            }
+            writer.put_here(word, word_bits);
+        });
+    }
+
     /// Which coefficients are sent, for the transforms that keep the largest.
     #[inline(always)]
     pub fn set(&self, kept: &Kept, writer: &mut BitWriter<'_>) {
@@ -283,6 +344,13 @@ impl Packer {
     pub(crate) fn single_after(&self, shifted: u32, rest: u32, writer: &mut BitWriter<'_>) {
         let cell = (rest >> 1, self.cells_log2);
         single_long((self.gap, shifted), rest & 1 == 1, cell, writer);
+    }
+
+    /// The same where `before` is what the gap's code comes to: the next gap is counted from there.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn single_to(&mut self, before: u32, rest: u32, writer: &mut BitWriter<'_>) {
+        let shifted = self.gap.step(before.wrapping_add(self.gap.less));
+        self.single_after(shifted, rest, writer);
     }
 
     /// [`Self::seven`], as [`Self::single_after`].

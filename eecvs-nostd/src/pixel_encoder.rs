@@ -2,8 +2,6 @@
 
 use crate::bits::BitWriter;
 use crate::encoder::Scratch;
-#[cfg(eecvs_dsp)]
-use crate::few_dsp;
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
 use crate::group::{Group, Impulses, Pixel};
 use crate::pack::Packer;
@@ -12,9 +10,12 @@ use crate::phase::PhaseScale;
 use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::trace::{Stage, Trace};
+use crate::transform::lanes::Lanes;
 use crate::transform::rows::{self, Cosines};
-use crate::transform::{Basis, Dct, Rule, Transform};
+use crate::transform::{Basis, Dct, Dwt, Rule, Transform, lanes};
 use crate::window::{Slot, Window};
+#[cfg(eecvs_dsp)]
+use crate::{few_dsp, lanes_dsp};
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
 
@@ -30,6 +31,24 @@ pub(crate) fn is_few(packing: &Packing) -> bool {
 /// Words that a pixel takes at the most where [`is_few`] holds: counts and gap, 3 * 31 bits and 3;
 /// a width of up to 32 bits, 7 levels of 32; and what was there before.
 const FEW_WORDS_MAX: usize = 3 + 1 + 7 + 1;
+
+/// Whether the Haar differences of a pixel are bytes in a few words, and its levels are the
+/// differences themselves: [`PixelEncoder::encode_lanes`] is for these.
+pub(crate) fn is_lanes(packing: &Packing, scale: PhaseScale) -> bool {
+    let is_small = packing.transform == Transform::Dwt
+        && usize::from(packing.grid) <= lanes::GRID
+        && packing.quantiser.step_log2() <= 0;
+    // In an image only what there is assembly for: its portable twin has no place there.
+    #[cfg(eecvs_dsp)]
+    let is_small = is_small && lanes_dsp::divisor(packing.shape(), scale).is_some();
+    #[cfg(not(eecvs_dsp))]
+    let _ = scale;
+    is_small
+}
+
+/// Words that a pixel takes at the most in [`PixelEncoder::encode_lanes`]: counts and gap; the set;
+/// a width and a level for each, of up to 32 bits; and what was there before.
+const LANES_WORDS_MAX: usize = 4 + 1 + lanes::GRID + 1;
 
 /// What turns the pixels of a frame into bits, one after the other.
 pub(crate) struct PixelEncoder<'e, 'b> {
@@ -72,7 +91,9 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             self.encode_single::<B, T>(pixel, slots, writer, trace);
             return 0;
         }
-        if events as usize > CHUNK_EVENTS {
+        // In an image the pixels that have no code of their own share that of the widest sums.
+        let is_rare = cfg!(eecvs_dsp) && B::TRANSFORM as u8 == Transform::Dwt as u8;
+        if is_rare || events as usize > CHUNK_EVENTS {
             return self.encode_crowded::<B, T>(pixel, slots, writer, trace);
         }
         trace.enter(Stage::Accumulate);
@@ -140,6 +161,120 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             pixels += 1;
         }
         (events, pixels, saturated)
+    }
+
+    /// Encodes pixels where [`is_lanes`] holds while the output has room for any. Returns events,
+    /// pixels, and how many levels saturated.
+    #[inline(always)]
+    pub(crate) fn encode_lanes<T: Trace>(
+        &mut self,
+        group: &mut Group,
+        window: &mut Window<'_>,
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> (u32, u32, u32) {
+        if self.shape.grid <= lanes::GRID / 2 {
+            self.encode_lanes_of::<4, T>(group, window, writer, trace)
+        } else {
+            self.encode_lanes_of::<8, T>(group, window, writer, trace)
+        }
+    }
+
+    /// [`Self::encode_lanes`] with lanes of W words.
+    #[inline(never)]
+    fn encode_lanes_of<const W: usize, T: Trace>(
+        &mut self,
+        group: &mut Group,
+        window: &mut Window<'_>,
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> (u32, u32, u32) {
+        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
+        while writer.has_words(LANES_WORDS_MAX) {
+            trace.enter(Stage::Group);
+            #[cfg(eecvs_dsp)]
+            if W == 4
+                && !T::LISTENS
+                && let Some(duration_us) = lanes_dsp::divisor(self.shape, self.scale)
+            {
+                let r = self.shape.r as u32;
+                let room = (&mut *writer, LANES_WORDS_MAX);
+                let (some, places) =
+                    lanes_dsp::walk((group, window), duration_us, r, &mut self.packer, room);
+                events += some;
+                pixels += places;
+                if !writer.has_words(LANES_WORDS_MAX) {
+                    break;
+                }
+            }
+            let Some(pixel) = group.next(window) else {
+                break;
+            };
+            let slots = window.slots();
+            let here = pixel.on + pixel.off;
+            if cfg!(eecvs_dsp) && W == 4 && !T::LISTENS && here <= CHUNK_EVENTS_U32 {
+                // Never: the walk has all of these.
+                group.put_back(pixel);
+                break;
+            }
+            match here {
+                1 => self.encode_single::<Dwt, T>(pixel, slots, writer, trace),
+                2..=CHUNK_EVENTS_U32 => self.encode_bytes::<W, T>(pixel, slots, writer, trace),
+                _ => {
+                    let saturates = self.encode_crowded::<Dwt, T>(pixel, slots, writer, trace);
+                    saturated = saturated.saturating_add(saturates);
+                }
+            }
+            events += here;
+            pixels += 1;
+        }
+        (events, pixels, saturated)
+    }
+
+    /// The differences of a pixel that a group gave.
+    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, allow(unsafe_code))]
+    fn sum_lanes<const W: usize>(&self, impulses: &Impulses<'_>) -> Lanes<W> {
+        #[cfg(eecvs_dsp)]
+        {
+            // Always there: `is_lanes` has asked.
+            let duration_us = lanes_dsp::divisor(self.shape, self.scale).unwrap_or(u32::MAX);
+            // SAFETY: the list is the group's, of events of this window, and has some.
+            unsafe { lanes_dsp::sum(impulses, duration_us) }
+        }
+        #[cfg(not(eecvs_dsp))]
+        lanes::sum(
+            impulses.clone(),
+            self.scale,
+            self.shape.grid.trailing_zeros(),
+        )
+    }
+
+    /// A pixel of 2 events to a chunk's, its differences as bytes.
+    #[inline(always)]
+    fn encode_bytes<const W: usize, T: Trace>(
+        &mut self,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        trace.enter(Stage::Accumulate);
+        let mut sums = self.sum_lanes::<W>(&Impulses::new(pixel, slots));
+        trace.enter(Stage::Prune);
+        let nonzero = sums.nonzero();
+        let mut kept = nonzero.bits();
+        if nonzero.count() > self.shape.r as u32 {
+            kept = lanes::largest(sums, pixel.on + pixel.off, self.shape.r as u32);
+            sums = sums.keep(kept);
+        }
+        trace.enter(Stage::Quantise);
+        let levels = sums.levels();
+        let spread = levels.spread();
+        trace.enter(Stage::Pack);
+        let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
+        self.packer
+            .bytes(position, counts, (kept, levels, spread), writer);
     }
 
     /// A pixel of one event, whose coefficients follow from its time.

@@ -1,4 +1,4 @@
-//! The Haar transform's histogram and butterflies.
+//! The Haar transform's rows of bytes, and its histogram and butterflies beyond K = 32.
 
 use super::{Accumulate, Impulse, Kernel, PhaseScale};
 use crate::fixed_point::Sum;

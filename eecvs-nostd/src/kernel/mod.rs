@@ -11,7 +11,7 @@
 //! | [`Precise`] | DCT, DTFT | an atom at a time, 30 fractional bits | 2^-26 |
 //! | `Micromath` | DCT, DTFT | an atom at a time, f32 | 2^-9 |
 //! | `Libm` | DCT, DTFT | Chebyshev recurrence, f32 | 2^-14 |
-//! | [`Haar`] | Haar DWT | histogram and butterflies, integers | 0 |
+//! | [`Haar`] | Haar DWT | bytes for K up to 32, else histogram and butterflies, integers | 0 |
 //!
 //! The error is |c_k - c_ref| of any coefficient, complex where c_k is, over the number of events in
 //! the pixel, for K up to 1,024 and any window; `tests/kernels.rs` enforces it. The two in f32 are

@@ -2,7 +2,8 @@
 
 use core::cell::Cell;
 
-use super::{Basis, Impulse, Rule, Transform};
+use super::lanes::Lanes;
+use super::{Basis, Impulse, Rule, Transform, lanes};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
@@ -12,8 +13,8 @@ use crate::quantise::Levels;
 /// The Haar wavelet transform (eq. 6), for sparse windows; h is +1 on [0, 1/2), -1 on [1/2, 1).
 ///
 /// `[Impulse; n] -> [Sum; K]`, K a power of two. The sums hold the integers
-/// D_k = c_k / 2^(j/2), |D_k| <= n: a fine histogram and K - 1 butterflies, exact. The irrational
-/// scale is left to whoever needs the value, so that pruning compares D^2 2^j, an integer, and ties
+/// D_k = c_k / 2^(j/2), |D_k| <= n, exact: rows of bytes for K up to 32, as the file `lanes.rs` has
+/// it, else a fine histogram and K - 1 butterflies. The irrational scale is left to whoever needs the value, so that pruning compares D^2 2^j, an integer, and ties
 /// are exact.
 #[derive(Debug, Clone, Copy)]
 pub struct Dwt;
@@ -41,54 +42,16 @@ impl Basis for Dwt {
     ) {
         debug_assert!(grid.is_power_of_two());
         let bins_log2 = grid.trailing_zeros();
-        let bin = |impulse: &Impulse| scale.bin(impulse.offset_us, bins_log2) as usize;
-        let sign = |impulse: &Impulse| {
-            if impulse.is_on {
-                Sum::ONE
+        // Where few pixels come this way, an image has the histogram alone.
+        if grid <= lanes::GRID && !cfg!(eecvs_dsp) {
+            if grid <= lanes::GRID / 2 {
+                widen(lanes::sum::<4>(impulses, scale, bins_log2), grid, sums);
             } else {
-                Sum::NEG_ONE
-            }
-        };
-        if impulses.clone().nth(FEW_EVENTS).is_none() {
-            // Each adds to one coefficient of every scale, from the finest on.
-            let differences = sums.get_mut(..grid).unwrap_or_default();
-            differences.fill(Sum::ZERO);
-            for impulse in impulses {
-                let sign = sign(&impulse);
-                let mut node = grid + bin(&impulse);
-                while node > 1 {
-                    let is_second_half = node % 2 == 1;
-                    node /= 2;
-                    if let Some(difference) = differences.get_mut(node) {
-                        *difference += if is_second_half { -sign } else { sign };
-                    }
-                }
+                widen(lanes::sum::<8>(impulses, scale, bins_log2), grid, sums);
             }
             return;
         }
-        let (differences, bins) = sums.split_at_mut_checked(grid).unwrap_or_default();
-        let bins = bins.get_mut(..grid).unwrap_or_default();
-        bins.fill(Sum::ZERO);
-        for impulse in impulses.take(CHUNK_EVENTS) {
-            // Always there: the offset is below T.
-            if let Some(sum) = bins.get_mut(bin(&impulse)) {
-                *sum += sign(&impulse);
-            }
-        }
-        // At scale j the pairs of 2^(j+1) bins become their sum, a bin of the next coarser scale,
-        // and their difference, D at k = 2^j + m.
-        let bins = Cell::from_mut(bins).as_slice_of_cells();
-        let (pairs, _) = bins.as_chunks::<2>();
-        let mut half = grid / 2;
-        while half > 0 {
-            let differences = differences.get_mut(half..2 * half).unwrap_or_default();
-            for ((bin, [first, second]), difference) in bins.iter().zip(pairs).zip(differences) {
-                let (first, second) = (first.get(), second.get());
-                *difference = first - second;
-                bin.set(first + second);
-            }
-            half /= 2;
-        }
+        accumulate_many(impulses, scale, grid, sums);
     }
 
     /// Those that are not 0, the r largest of them where they are more; out of these go the ones
@@ -176,6 +139,75 @@ impl Basis for Dwt {
             let value = if is_first_half { value } else { -value };
             each(((1 << scale) + m) as u16, sign * value, 0.0);
         }
+    }
+}
+
+/// [`Dwt`]'s sums on any grid. Apart: once for pixels of one chunk and of several.
+#[inline(never)]
+fn accumulate_many(
+    impulses: impl Iterator<Item = Impulse> + Clone,
+    scale: PhaseScale,
+    grid: usize,
+    sums: &mut [Sum],
+) {
+    let bins_log2 = grid.trailing_zeros();
+    let bin = |impulse: &Impulse| scale.bin(impulse.offset_us, bins_log2) as usize;
+    let sign = |impulse: &Impulse| {
+        if impulse.is_on {
+            Sum::ONE
+        } else {
+            Sum::NEG_ONE
+        }
+    };
+    if impulses.clone().nth(FEW_EVENTS).is_none() {
+        // Each adds to one coefficient of every scale, from the finest on.
+        let differences = sums.get_mut(..grid).unwrap_or_default();
+        differences.fill(Sum::ZERO);
+        for impulse in impulses {
+            let sign = sign(&impulse);
+            let mut node = grid + bin(&impulse);
+            while node > 1 {
+                let is_second_half = node % 2 == 1;
+                node /= 2;
+                if let Some(difference) = differences.get_mut(node) {
+                    *difference += if is_second_half { -sign } else { sign };
+                }
+            }
+        }
+        return;
+    }
+    let (differences, bins) = sums.split_at_mut_checked(grid).unwrap_or_default();
+    let bins = bins.get_mut(..grid).unwrap_or_default();
+    bins.fill(Sum::ZERO);
+    for impulse in impulses.take(CHUNK_EVENTS) {
+        // Always there: the offset is below T.
+        if let Some(sum) = bins.get_mut(bin(&impulse)) {
+            *sum += sign(&impulse);
+        }
+    }
+    // At scale j the pairs of 2^(j+1) bins become their sum, a bin of the next coarser scale,
+    // and their difference, D at k = 2^j + m.
+    let bins = Cell::from_mut(bins).as_slice_of_cells();
+    let (pairs, _) = bins.as_chunks::<2>();
+    let mut half = grid / 2;
+    while half > 0 {
+        let differences = differences.get_mut(half..2 * half).unwrap_or_default();
+        for ((bin, [first, second]), difference) in bins.iter().zip(pairs).zip(differences) {
+            let (first, second) = (first.get(), second.get());
+            *difference = first - second;
+            bin.set(first + second);
+        }
+        half /= 2;
+    }
+}
+
+/// Bytes to sums, but for c_0.
+#[inline(always)]
+fn widen<const W: usize>(lanes: Lanes<W>, grid: usize, sums: &mut [Sum]) {
+    let bytes = lanes.into_bytes();
+    let sums = sums.iter_mut().zip(bytes.as_flattened());
+    for (sum, byte) in sums.take(grid).skip(1) {
+        *sum = Sum::from_num(byte.cast_signed());
     }
 }
 

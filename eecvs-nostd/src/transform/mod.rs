@@ -6,6 +6,7 @@
 pub mod dct;
 pub mod dtft;
 pub mod dwt;
+pub(crate) mod lanes;
 pub mod rows;
 pub mod wave;
 

@@ -1,7 +1,7 @@
 //! The golden vectors on the target: the same bits as on the host, or the image exits with an
 //! error; and what some targets have code of their own for against what is portable: words taken in
-//! runs against words taken one by one, and the walk of the eight-coefficient DCT against the one
-//! that a trace listens to. For QEMU.
+//! runs against words taken one by one, and the walks of the eight-coefficient DCT and of the Haar
+//! transform on 16 bins against those that a trace listens to. For QEMU.
 #![no_std]
 #![no_main]
 
@@ -56,9 +56,11 @@ fn main() -> ! {
             }
         }
         for seed in 0..WALKS {
-            if !walks_hold(seed, &mut storage) {
-                hprintln!("golden: walk {} differs", seed);
-                failed += 1;
+            for transform in [Transform::Dct, Transform::Dwt] {
+                if !walks_hold(seed, transform, &mut storage) {
+                    hprintln!("golden: walk {} of {} differs", seed, transform.name());
+                    failed += 1;
+                }
             }
         }
         failed == 0 && !GOLDEN.is_empty()
@@ -237,11 +239,11 @@ impl Trace for Listener {
 /// Whether both walks give the same frames: single events and crowded pixels, all of one polarity
 /// and mixed, neighbours and far apart, at every kind of step.
 #[inline(never)]
-fn walks_hold(seed: u32, storage: &mut Small) -> bool {
+fn walks_hold(seed: u32, transform: Transform, storage: &mut Small) -> bool {
     let golden = Golden {
         width: WIDE.0,
         height: WIDE.1,
-        transform: Transform::Dct.name(),
+        transform: transform.name(),
         m: 8,
         events: &[],
         frames: &[],
