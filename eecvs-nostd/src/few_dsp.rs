@@ -43,7 +43,7 @@ struct Walk<'w, 's, 'o> {
     level_shift: u32,
     /// Bits of a level of one event, less 2.
     level_bits: u32,
-    counts: *const [u32; CHUNK_EVENTS + 1],
+    counts: *const [[u32; 2]; CHUNK_EVENTS + 1],
     /// The same for one that the assembly leaves to [`seven_long`].
     limit_long: *mut [u8; 4],
     heads: *mut Head,
@@ -119,7 +119,7 @@ pub fn walk(
         limit: words.wrapping_add(words_len.saturating_sub(WORDS_MAX)),
         level_shift,
         level_bits: one_bits.wrapping_sub(2),
-        counts: &COUNTS,
+        counts: &TABLES.counts,
         limit_long: words.wrapping_add(words_len.saturating_sub(room)),
         heads: heads.as_mut_ptr(),
         stride: stride.get(),
@@ -165,29 +165,58 @@ pub fn walk(
     (counts & 0xffff, counts >> 16)
 }
 
-/// Of n events: in the lower half, what is to be added where the gap's code ends, besides the ON
-/// events times two to the bits of n's code, which are the third byte; in the fourth, 32 and the
-/// bits of n and of the ON events, less the leading zeros of n - 1.
+/// Of n events: two to the bits of n's code, by which the ON events are moved behind it, in the upper
+/// half; 32 and the bits of n and of the ON events, less the leading zeros of n - 1, in the lower; and
+/// what is to be added where the gap's code ends, besides the ON events.
 ///
 /// The 1s above the gap's code and above n's are taken off there.
-static COUNTS: [u32; CHUNK_EVENTS + 1] = {
-    let mut counts = [0; CHUNK_EVENTS + 1];
+const COUNTS: [[u32; 2]; CHUNK_EVENTS + 1] = {
+    let mut counts = [[0; 2]; CHUNK_EVENTS + 1];
     let mut n = 2;
     while n <= CHUNK_EVENTS as u32 {
         let low_bits = n.ilog2();
         let code = (((n << 1) + 1) << low_bits) - (2 << (2 * low_bits)) - 1;
         let bits = 3 * low_bits + 2 + 32 - (n - 1).leading_zeros();
-        counts[n as usize] = code | ((2 * low_bits + 1) << 16) | (bits << 24);
+        counts[n as usize] = [(1 << (16 + 2 * low_bits + 1)) | bits, code];
         n += 1;
     }
     counts
+};
+
+/// Of levels of b bits: 2^b, and the highest bits of three and of four side by side.
+const SIDE_BY_SIDE: [[u32; 4]; SIDE_BITS_MAX] = {
+    let mut rows = [[0; 4]; SIDE_BITS_MAX];
+    let mut bits = 1;
+    while bits <= SIDE_BITS_MAX {
+        let half = 1_u32 << (bits - 1);
+        let three = half | (half << bits) | (half << (2 * bits));
+        // Widest first, so that they are found backwards from what follows them.
+        rows[SIDE_BITS_MAX - bits] = [1 << bits, three, three | (half << (3 * bits)), 0];
+        bits += 1;
+    }
+    rows
+};
+/// Bits of the widest levels of which a word has room for four.
+const SIDE_BITS_MAX: usize = 8;
+
+#[repr(C)]
+struct Tables {
+    side_by_side: [[u32; 4]; SIDE_BITS_MAX],
+    counts: [[u32; 2]; CHUNK_EVENTS + 1],
+}
+
+static TABLES: Tables = Tables {
+    side_by_side: SIDE_BY_SIDE,
+    counts: COUNTS,
 };
 
 // What the assembly takes for granted. Both counts fit half a word, and a link's sign tells the end.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000);
 const _: () = assert!(size_of::<Slot>() == 8 && NEXT_SHIFT == 16 && CHUNK_EVENTS < 64);
 const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, tally) == 4);
+const _: () = assert!(offset_of!(Tables, counts) == 16 * SIDE_BITS_MAX);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, base) == 60);
+const _: () = assert!(offset_of!(Walk<'_, '_, '_>, counts) == 36);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, position) == 100);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 108);
 
@@ -321,7 +350,7 @@ macro_rules! event {
     };
 }
 
-/// From sums, in r4 to r10, to levels, of which r2 has the shift; r1: 2^r0, r11: half of it.
+/// From sums, in r4 to r10, to levels, of which r2 has the shift.
 macro_rules! levels {
     () => {
         "asr r4, r4, r2
@@ -330,10 +359,7 @@ macro_rules! levels {
         asr r7, r7, r2
         asr r8, r8, r2
         asr r9, r9, r2
-        asr r10, r10, r2
-        mov r11, #1
-        lsl r1, r11, r0
-        lsr r11, r1, #1"
+        asr r10, r10, r2"
     };
 }
 
@@ -494,15 +520,13 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         // The counts behind it. r8: bits of all, and of the levels' width, but for the leading zeros
         // of the widest level and for its 1, which comes with the levels.
         "ldrd r8, r9, [sp, #32]",
-        "ldr r9, [r9, r2, lsl #2]",
-        "uxth r3, r3",
-        "lsr r10, r9, #16",
-        "lsl r3, r3, r10",
-        "uxtah r3, r3, r9",
+        "add r9, r9, r2, lsl #3",
+        "ldrd r9, r10, [r9]",
+        "smlabt r3, r3, r9, r10",
         "lsls r3, r6",
         "adds r4, r4, r3",
         "sub r8, r8, r7",
-        "add r8, r8, r9, lsr #24",
+        "uxtah r8, r8, r9",
         "strd r4, r8, [sp, #148]",
         event!("smuad", "", "", "", "", "", "", ""),
         "asr lr, lr, #16",
@@ -532,26 +556,27 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldrd r3, lr, [sp, #148]",
         "rsb r0, r1, #33",
         "add lr, lr, r1",
-        "cmp r0, #8",
+        "cmp r0, #{side_bits_max}",
         "bhi 11f",
         "rsbs r1, lr, #32",
         "blo 9f",
-        // The carry is 1 from here on. r1: 2^bits, r11: half of it.
+        // The carry is 1 from here on.
         levels!(),
-        // Three levels side by side in r4, four in r7; r6: the highest bit of each.
+        // r1: 2^bits; r2 and r11: the highest bit of each of three and of four.
+        "ldr r2, [sp, #36]",
+        "sub r2, r2, r0, lsl #4",
+        "ldm r2, {{r1, r2, r11}}",
+        // Three levels side by side in r4, four in r7.
         "mla r5, r6, r1, r5",
         "mla r4, r5, r1, r4",
-        "mla r6, r11, r1, r11",
-        "mla r6, r6, r1, r11",
         "mla r9, r10, r1, r9",
         "mla r8, r9, r1, r8",
         "mla r7, r8, r1, r7",
         // A negative level has borrowed from its neighbour, which half of a range more gives back.
-        "add r4, r4, r6",
-        "eor r4, r4, r6",
-        "mla r6, r6, r1, r11",
-        "add r7, r7, r6",
-        "eor r7, r7, r6",
+        "add r4, r4, r2",
+        "eor r4, r4, r2",
+        "add r7, r7, r11",
+        "eor r7, r7, r11",
         // Before the three, the 1 of the levels' width.
         "adc r4, r4, r4",
         "adc r5, r0, r0, lsl #1",
@@ -577,6 +602,10 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "rsbs r1, lr, #32",
         "blo 9f",
         levels!(),
+        // r1: 2^bits, r11: half of it.
+        "mov r11, #1",
+        "lsl r1, r11, r0",
+        "lsr r11, r1, #1",
         "mla r5, r6, r1, r5",
         "mla r4, r5, r1, r4",
         "mla r6, r11, r1, r11",
@@ -711,6 +740,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         column_bits = const COLUMN_BITS,
         position = const offset_of!(Walk<'_, '_, '_>, position),
         sums = const offset_of!(Walk<'_, '_, '_>, sums),
+        side_bits_max = const SIDE_BITS_MAX,
         distance_at = const rows::DISTANCE_AT,
         distance_bits = const rows::DISTANCE_BITS,
         one = const rows::ONE << 16,

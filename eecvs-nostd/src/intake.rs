@@ -276,8 +276,9 @@ mod arm {
         2:
             ",
             event!(), event!(), event!(), event!(), event!(), event!(), event!(), event!(),
+            event!(), event!(), event!(), event!(), event!(), event!(), event!(), event!(),
             "
-            subs r2, r2, #32
+            subs r2, r2, #64
             bhs 2b
             b 8f
         3:
@@ -304,10 +305,10 @@ mod arm {
             ldr r2, [r12, #{end}]
             sub r2, r2, r1
         6:
-            subs r2, r2, #32
+            subs r2, r2, #64
             bhs 2b
-        8:  // Fewer than eight words are left.
-            adds r2, r2, #32
+        8:  // Fewer than sixteen words are left.
+            adds r2, r2, #64
             bne 3b
             b 9f
         7:  // Not to be taken.
