@@ -1,4 +1,4 @@
-//! cos(2 pi x) and sin(2 pi x): what the oscillators of the DCT and the DTFT start from.
+//! cos(2 pi x) and sin(2 pi x): the precise kernel's atoms, and what the recurrence starts from.
 //!
 //! A table of 1,024 nodes a turn with 30 fractional bits, and the second-order Taylor polynomial
 //! around the nearest node: cos(a + d) = C - S d - C d^2 / 2 with |d| <= pi / 1024. What the third

@@ -179,7 +179,7 @@ fn cells_log2_of(half_turns: usize, quantiser: Quantiser) -> u32 {
     cells.next_power_of_two().trailing_zeros()
 }
 
-/// [`Basis::cell`] where a cell more or less at its edge does no harm: less than 3 * 2^-32 of the
+/// [`Basis::cell`] where a cell more or less at its edge does no harm: less than 3 * 2^-31 of the
 /// window from there.
 #[inline(always)]
 fn cell_of(scale: PhaseScale, offset_us: u32, cells_log2: u32) -> u32 {
