@@ -103,7 +103,7 @@ pub fn largest(keys: &[u32], r: usize, kept: &mut Kept) {
     }
     match keys.len() {
         ..=16 => kept.words[0] |= largest_of::<4>(keys, r as u32),
-        ..=32 => kept.words[0] |= largest_of::<8>(keys, r as u32),
+        17..=32 => kept.words[0] |= largest_of::<8>(keys, r as u32),
         _ => largest_of_many(keys, r, kept),
     }
 }
@@ -200,7 +200,7 @@ impl<const W: usize> Lanes<W> {
     /// How many bytes of `reach` are 1.
     #[inline(always)]
     fn count(reach: &[u32; W]) -> u32 {
-        let sum = reach.iter().fold(0, |sum, word| sum + word);
+        let sum = reach.iter().sum::<u32>();
         sum.wrapping_mul(0x0101_0101) >> 24
     }
 
