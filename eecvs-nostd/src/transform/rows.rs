@@ -170,8 +170,8 @@ use portable::Sums;
 #[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
 use sse2::Sums;
 
-/// sum p cos(pi k u) for k = 1..8 over at most [`CHUNK_EVENTS`] impulses, of which `half` gives
-/// u / 2, with 25 fractional bits: [`sum`] makes numbers of them. Apart, so that the loop has the
+/// sum p cos(pi k u) for k = 1..8 over at most a chunk of impulses, of which `half` gives
+/// u / 2, with the bits of a [`Sum`](crate::fixed_point::Sum). Apart, so that the loop has the
 /// registers for itself.
 #[inline(never)]
 pub fn cosines(
