@@ -5,7 +5,8 @@
 #            prints the table; the counts are in firmware/target/kernels.json
 #   --save   also takes them over into firmware/kernels.json, which is committed, and from there
 #            into the README's table
-#   --check  compares with those and fails where a count has grown by over 3 %
+#   --check  compares with those and fails where a count has grown by over 3 %, by over 15 % of the
+#            kernels that the encoder does not take
 #
 # The cuts are those of instructions.sh: of the recordings in ../shared/data, where all are there, and
 # always of emulated scenes. Counts of the two are kept and compared apart. The sums of every kernel
@@ -16,7 +17,7 @@ cd "$(dirname "$0")/.."
 action=${1:-}
 case $action in
     '' | --save | --check) ;;
-    *) sed -n '2,8s/^# \{0,1\}//p' firmware/kernels.sh >&2; exit 2 ;;
+    *) sed -n '2,9s/^# \{0,1\}//p' firmware/kernels.sh >&2; exit 2 ;;
 esac
 
 tool() { cargo run --quiet --release --locked -p eecvs-tests --bin kernel_counts -- "$@"; }

@@ -2,12 +2,26 @@
 
 use std::fmt::{self, Display};
 
+use eecvs_nostd::Transform;
+use eecvs_nostd::kernel::Kernel;
 use host_harness::bench::mcu::Count;
 
 use crate::file::origins;
 
-/// Growth of a count that fails, in percent.
+/// Growth of a count that fails, in percent, of the kernels that the encoder takes.
 const TOLERANCE_PERCENT: u64 = 3;
+/// The same of those to compare with: the compiler gives their loops other registers from one folder
+/// of the project to another, by up to 12 %.
+const OTHERS_PERCENT: u64 = 15;
+
+fn tolerance_percent(kernel: &str) -> u64 {
+    let mut in_use = Transform::ALL.into_iter().map(Kernel::in_use);
+    if in_use.any(|in_use| in_use.name() == kernel) {
+        TOLERANCE_PERCENT
+    } else {
+        OTHERS_PERCENT
+    }
+}
 
 /// What has changed.
 #[derive(Debug, Default)]
@@ -34,7 +48,8 @@ impl Display for Comparison {
         }
         writeln!(
             f,
-            "{} kernel counts compared, {} failures (one may grow by {TOLERANCE_PERCENT} %)",
+            "{} kernel counts compared, {} failures (one may grow by {TOLERANCE_PERCENT} %, \
+             of the kernels not in use by {OTHERS_PERCENT} %)",
             self.counts,
             self.failures.len()
         )
@@ -64,7 +79,7 @@ pub fn compare(counts: &[Count], saved: &[Count]) -> Comparison {
                     new.events, new.pixels, old.events, old.pixels
                 ));
             } else if new.instructions.saturating_sub(old.instructions) * 100
-                > old.instructions * TOLERANCE_PERCENT
+                > old.instructions * tolerance_percent(kernel)
             {
                 comparison.failures.push(format!(
                     "{name}: {part}: {:.1} instructions per event, saved {:.1}",
@@ -126,6 +141,16 @@ mod tests {
             );
             assert!(text.contains(name), "{text}");
         }
+    }
+
+    #[test]
+    fn kernels_not_in_use_may_grow_more() {
+        let recurrence = |all| Count {
+            kernel: "recurrence".into(),
+            ..count("emulator", all, 1000)
+        };
+        assert!(!compare(&[recurrence(11_500)], &[recurrence(10_000)]).has_failed());
+        assert!(compare(&[recurrence(11_501)], &[recurrence(10_000)]).has_failed());
     }
 
     #[test]
