@@ -11,8 +11,8 @@ use crate::file::origins;
 /// Growth of a count that fails, in percent, of the kernels that the encoder takes.
 const TOLERANCE_PERCENT: u64 = 3;
 /// The same of those to compare with: the compiler gives their loops other registers from one folder
-/// of the project to another, by up to 12 %.
-const OTHERS_PERCENT: u64 = 15;
+/// of the project to another, by up to 16 %.
+const OTHERS_PERCENT: u64 = 25;
 
 fn tolerance_percent(kernel: &str) -> u64 {
     let mut in_use = Transform::ALL.into_iter().map(Kernel::in_use);
@@ -149,8 +149,8 @@ mod tests {
             kernel: "recurrence".into(),
             ..count("emulator", all, 1000)
         };
-        assert!(!compare(&[recurrence(11_500)], &[recurrence(10_000)]).has_failed());
-        assert!(compare(&[recurrence(11_501)], &[recurrence(10_000)]).has_failed());
+        assert!(!compare(&[recurrence(12_500)], &[recurrence(10_000)]).has_failed());
+        assert!(compare(&[recurrence(12_501)], &[recurrence(10_000)]).has_failed());
     }
 
     #[test]
