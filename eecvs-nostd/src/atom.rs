@@ -6,6 +6,8 @@
 //! RMS; `error_is_within_the_bound` enforces 2^-27 and 2.5e-9. Values never leave [-1, 1]: an
 //! oscillator that started outside of it would grow.
 
+use core::f64::consts::FRAC_PI_2;
+
 use crate::fixed_point::{Atom, Phase, mul_high};
 
 /// log2 of the nodes in a turn.
@@ -77,7 +79,7 @@ const fn cos_table() -> [Atom; NODES + QUARTER] {
 }
 
 /// cos x for x in [0, pi/2] by its Taylor series: 12 terms leave less than 1e-17.
-pub(crate) const fn cos_first_quarter(x: f64) -> f64 {
+const fn cos_first_quarter(x: f64) -> f64 {
     let mut term = 1.0;
     let mut sum = 1.0;
     let mut n = 1;
@@ -87,6 +89,23 @@ pub(crate) const fn cos_first_quarter(x: f64) -> f64 {
         n += 1;
     }
     if sum < 0.0 { 0.0 } else { sum }
+}
+
+/// cos(pi / 2 `row` / `quarter`), for tables of `quarter` rows to a quarter of a turn.
+pub(crate) const fn cos_of_row(row: usize, quarter: usize) -> f64 {
+    let within = (row % quarter) as f64 * (FRAC_PI_2 / quarter as f64);
+    let rest = FRAC_PI_2 - within;
+    match row / quarter % 4 {
+        0 => cos_first_quarter(within),
+        1 => -cos_first_quarter(rest),
+        2 => -cos_first_quarter(within),
+        _ => cos_first_quarter(rest),
+    }
+}
+
+/// The nearest integer, halves away from 0.
+pub(crate) const fn round(x: f64) -> i32 {
+    (if x < 0.0 { x - 0.5 } else { x + 0.5 }) as i32
 }
 
 #[cfg(test)]

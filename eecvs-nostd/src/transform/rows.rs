@@ -11,7 +11,7 @@
 
 use core::f64::consts::FRAC_PI_2;
 
-use crate::atom::cos_first_quarter;
+use crate::atom::{cos_of_row, round};
 use crate::fixed_point::{FRACTION_BITS, Phase, dot_add, negate_halves};
 use crate::group::Impulses;
 use crate::phase::PhaseScale;
@@ -375,7 +375,7 @@ const fn table() -> Lines {
 /// The line for k from `row` to the next: the chord, moved by half of its distance from the curve.
 const fn line(row: usize, k: usize) -> Line {
     let step = k as f64 * (FRAC_PI_2 / ROWS as f64);
-    let (from, to) = (cos_of_rows(k * row), cos_of_rows(k * (row + 1)));
+    let (from, to) = (cos_of_row(k * row, ROWS), cos_of_row(k * (row + 1), ROWS));
     let bend = (from + to) / 2.0 * (step * step / 16.0);
     // A distance stands for the middle of its last bit.
     let half_bit = (to - from) / (2 << DISTANCE_BITS) as f64;
@@ -399,22 +399,6 @@ const fn clamp(x: i32, most: i32) -> i32 {
         -most
     } else {
         x
-    }
-}
-
-const fn round(x: f64) -> i32 {
-    (if x < 0.0 { x - 0.5 } else { x + 0.5 }) as i32
-}
-
-/// cos(pi / 2 i / ROWS)
-const fn cos_of_rows(i: usize) -> f64 {
-    let within = (i % ROWS) as f64 * (FRAC_PI_2 / ROWS as f64);
-    let rest = FRAC_PI_2 - within;
-    match i / ROWS % 4 {
-        0 => cos_first_quarter(within),
-        1 => -cos_first_quarter(rest),
-        2 => -cos_first_quarter(within),
-        _ => cos_first_quarter(rest),
     }
 }
 

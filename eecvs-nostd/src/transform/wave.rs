@@ -16,9 +16,9 @@
 //! `atoms_are_within_the_bound` goes through every row and distance and enforces 2^-15.1, and that
 //! no atom reaches 1.
 
-use core::f64::consts::{FRAC_PI_2, TAU};
+use core::f64::consts::TAU;
 
-use crate::atom::cos_first_quarter;
+use crate::atom::{cos_of_row, round};
 use crate::fixed_point::{CHUNK_EVENTS, FRACTION_BITS, Phase, Sum, dot_add};
 use crate::transform::Impulse;
 
@@ -544,7 +544,7 @@ const fn line(row: usize) -> Line {
         let (start, slope) = (line >> 16, line & 0xffff);
         return (start.wrapping_neg() << 16) | (slope.wrapping_neg() & 0xffff);
     }
-    let (from, to) = (cos_of_row(row), cos_of_row(row + 1));
+    let (from, to) = (cos_of_row(row, QUARTER), cos_of_row(row + 1, QUARTER));
     let step = TAU / ROWS as f64;
     let bend = (from + to) / 2.0 * (step * step / 16.0);
     // A distance stands for the middle of its last bit.
@@ -572,22 +572,6 @@ const fn line(row: usize) -> Line {
 const fn distances(row: usize) -> (i32, i32) {
     let first = ((row << DISTANCE_BITS) & 0xffff) as u16 as i16 as i32;
     (first, first + (1 << DISTANCE_BITS) - 1)
-}
-
-const fn round(x: f64) -> i32 {
-    (if x < 0.0 { x - 0.5 } else { x + 0.5 }) as i32
-}
-
-/// cos(2 pi row / ROWS)
-const fn cos_of_row(row: usize) -> f64 {
-    let within = (row % QUARTER) as f64 * (FRAC_PI_2 / QUARTER as f64);
-    let rest = FRAC_PI_2 - within;
-    match row / QUARTER % 4 {
-        0 => cos_first_quarter(within),
-        1 => -cos_first_quarter(rest),
-        2 => -cos_first_quarter(within),
-        _ => cos_first_quarter(rest),
-    }
 }
 
 #[cfg(test)]
