@@ -1,9 +1,10 @@
-//! Pictures and charts of the reports.
+//! Pictures, charts and tables of the reports.
 
 pub mod chart;
 pub mod demo;
 pub mod error_chart;
 pub mod frame_picture;
 pub mod kernel_chart;
+pub mod marks;
 pub mod picture;
 pub mod picture_backend;
