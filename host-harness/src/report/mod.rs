@@ -5,6 +5,8 @@ pub mod demo;
 pub mod error_chart;
 pub mod frame_picture;
 pub mod kernel_chart;
+pub mod kernel_table;
 pub mod marks;
 pub mod picture;
 pub mod picture_backend;
+pub mod skip_table;
