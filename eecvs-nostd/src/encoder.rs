@@ -8,6 +8,7 @@ use crate::event::Event;
 use crate::fixed_point::{Sum, WideSum};
 use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, seal};
 use crate::group::Group;
+use crate::kernel::{Accumulate, WithKernel};
 use crate::packing::PIXEL_BYTES_MAX;
 use crate::phase::PhaseScale;
 use crate::pixel_encoder::{PixelEncoder, is_few, is_lanes};
@@ -217,6 +218,30 @@ impl<'b> WindowEncoder<'b> {
         out: &mut [u8],
         trace: &mut T,
     ) -> Result<Option<Encoded>, NoRoom> {
+        self.next_frame_of::<Dct, Dtft, T>(window, out, trace)
+    }
+
+    /// As [`Self::next_frame`], with the coefficients of another kernel than the encoder's own; a
+    /// single event still travels as the cell of its time. For a host: see [`WithKernel`].
+    ///
+    /// # Errors
+    /// [`NoRoom`], as there.
+    pub fn next_frame_with<A: Accumulate<Dct> + Accumulate<Dtft>>(
+        &mut self,
+        window: &mut Window<'_>,
+        out: &mut [u8],
+    ) -> Result<Option<Encoded>, NoRoom> {
+        self.next_frame_of::<WithKernel<Dct, A>, WithKernel<Dtft, A>, ()>(window, out, &mut ())
+    }
+
+    /// With `C` for the DCT and `F` for the DTFT.
+    #[inline(always)]
+    fn next_frame_of<C: Basis, F: Basis, T: Trace>(
+        &mut self,
+        window: &mut Window<'_>,
+        out: &mut [u8],
+        trace: &mut T,
+    ) -> Result<Option<Encoded>, NoRoom> {
         trace.enter(Stage::Group);
         let Some(closed) = window.closed() else {
             return Ok(None);
@@ -244,11 +269,9 @@ impl<'b> WindowEncoder<'b> {
         let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..end]);
         let scale = task.scale;
         header.last = match header.transform {
-            Transform::Dct => {
-                self.encode_pixels::<Dct, _>(window, scale, header, &mut writer, trace)
-            }
+            Transform::Dct => self.encode_pixels::<C, _>(window, scale, header, &mut writer, trace),
             Transform::Dtft => {
-                self.encode_pixels::<Dtft, _>(window, scale, header, &mut writer, trace)
+                self.encode_pixels::<F, _>(window, scale, header, &mut writer, trace)
             }
             Transform::Dwt => {
                 self.encode_pixels::<Dwt, _>(window, scale, header, &mut writer, trace)
@@ -318,7 +341,8 @@ impl<'b> WindowEncoder<'b> {
         let packing = header.packing();
         let mut encoder = PixelEncoder::new(&packing, scale, &mut self.scratch, &mut self.kept);
         let (mut events, mut pixels, mut saturated) = (0, 0, 0);
-        if B::TRANSFORM as u8 == Transform::Dct as u8 && is_few(&packing) {
+        let is_dct = B::HAS_WALKS && B::TRANSFORM as u8 == Transform::Dct as u8;
+        if is_dct && is_few(&packing) {
             (events, pixels, saturated) =
                 encoder.encode_few(&mut self.group, window, writer, trace);
         }

@@ -316,6 +316,8 @@ fn bad_usage_is_status_2() {
         "encode scene.raw -o a.eecvs -m eight",
         "encode scene.raw -o a.eecvs --transform fft",
         "encode scene.raw -o a.eecvs --mode best",
+        "encode scene.raw -o a.eecvs --kernel fft",
+        "encode scene.raw -o a.eecvs --kernel haar",
         "encode scene.raw -o a.eecvs --grid 0",
         "encode scene.raw -o a.eecvs --grid 1025",
         "encode scene.raw -o a.eecvs --step-log2 9",

@@ -1,15 +1,17 @@
 //! The saved counts as the README's tables, between two marks in it.
 
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
+use host_harness::report::marks::Marks;
 
 use crate::counts::{Counts, Run};
 
-const BEGIN: &str = "<!-- instructions: firmware/instructions.sh --save writes what is below -->\n";
-const END: &str = "<!-- instructions end -->\n";
+const MARKS: Marks = Marks {
+    name: "instructions",
+    command: "firmware/instructions.sh --save",
+};
 /// Cuts, with what stands above their columns.
 const CUTS: [&str; 3] = ["davis346", "sparse", "dense"];
 /// Stages, what they are called here, and a throw-away prototype's figures on the davis346 cut.
@@ -28,16 +30,8 @@ const TRANSFORMS: [(&str, &str); 3] = [("dct", "DCT"), ("dtft", "DTFT"), ("dwt",
 
 /// Writes the tables of `counts` into the README at `path`.
 pub fn write(counts: &Counts, path: &Path) -> anyhow::Result<()> {
-    let name = path.display();
-    let text = fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
-    let text = with_tables(&text, counts).with_context(|| format!("{name}: the marks are gone"))?;
-    fs::write(path, text).with_context(|| format!("{name}: cannot be written"))
-}
-
-fn with_tables(text: &str, counts: &Counts) -> Option<String> {
-    let (before, rest) = text.split_once(BEGIN)?;
-    let (_, after) = rest.split_once(END)?;
-    Some(format!("{before}{BEGIN}{}{END}{after}", tables(counts)?))
+    let tables = tables(counts).context("a run of the tables is not among the counts")?;
+    MARKS.write(path, &tables)
 }
 
 fn tables(counts: &Counts) -> Option<String> {
@@ -92,10 +86,9 @@ mod tests {
     fn the_readme_has_the_saved_counts() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let counts = Counts::read(&root.join("firmware/instructions.json")).unwrap();
-        let readme = fs::read_to_string(root.join("README.md")).unwrap();
-        let expected = with_tables(&readme, &counts).expect("the marks and every run");
+        let readme = std::fs::read_to_string(root.join("README.md")).unwrap();
         assert!(
-            readme == expected,
+            MARKS.content(&readme).unwrap() == tables(&counts).expect("every run"),
             "the README's tables are not those of firmware/instructions.json"
         );
     }

@@ -1,30 +1,22 @@
 //! The saved counts as the README's table, between two marks in it.
 
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
 
-use anyhow::Context;
 use host_harness::bench::mcu::{Count, Part};
+use host_harness::report::marks::Marks;
 
-const BEGIN: &str = "<!-- kernels: firmware/kernels.sh --save writes what is below -->\n";
-const END: &str = "<!-- kernels end -->\n";
+const MARKS: Marks = Marks {
+    name: "kernels",
+    command: "firmware/kernels.sh --save",
+};
 const TRANSFORMS: [(&str, &str); 3] = [("dct", "DCT"), ("dtft", "DTFT"), ("dwt", "Haar DWT")];
 const TARGETS: [(&str, &str); 2] = [("cortex-m4", "Cortex-M4"), ("cortex-m7", "Cortex-M7")];
 const M: [u8; 2] = [8, 16];
 
 /// Writes the table of `counts` into the README at `path`.
 pub fn write(counts: &[Count], path: &Path) -> anyhow::Result<()> {
-    let name = path.display();
-    let text = fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
-    let text = with_table(&text, counts).with_context(|| format!("{name}: the marks are gone"))?;
-    fs::write(path, text).with_context(|| format!("{name}: cannot be written"))
-}
-
-fn with_table(text: &str, counts: &[Count]) -> Option<String> {
-    let (before, rest) = text.split_once(BEGIN)?;
-    let (_, after) = rest.split_once(END)?;
-    Some(format!("{before}{BEGIN}{}{END}{after}", table(counts)))
+    MARKS.write(path, &table(counts))
 }
 
 /// Over the cuts of recordings, by events.
@@ -92,10 +84,9 @@ mod tests {
     fn the_readme_has_the_saved_counts() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let counts = crate::file::read(&root.join("firmware/kernels.json")).unwrap();
-        let readme = fs::read_to_string(root.join("README.md")).unwrap();
-        let expected = with_table(&readme, &counts).expect("the marks");
+        let readme = std::fs::read_to_string(root.join("README.md")).unwrap();
         assert!(
-            readme == expected,
+            MARKS.content(&readme).unwrap() == table(&counts),
             "the README's table is not that of firmware/kernels.json"
         );
     }

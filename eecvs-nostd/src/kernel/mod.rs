@@ -1,8 +1,9 @@
 //! Kernels of the accumulate stage: ways to the same coefficients that differ in run time and error.
 //!
 //! The encoder takes what [`Kernel::in_use`] names, through [`Basis::accumulate`]; the others are
-//! here to be measured against it (`eecvs bench`). A further kernel is one new file with a type that
-//! implements [`Accumulate`], and one entry of [`Kernel`].
+//! here to be measured against it (`eecvs bench`), and a host can encode with them ([`WithKernel`],
+//! `eecvs encode --kernel`). A further kernel is one new file with a type that implements
+//! [`Accumulate`], and one entry of [`Kernel`].
 //!
 //! | kernel | transforms | arithmetic | error per event at most |
 //! |---|---|---|---|
@@ -26,6 +27,7 @@ mod oscillator;
 mod precise;
 mod recurrence;
 mod table;
+mod with_kernel;
 
 use crate::fixed_point::Phase;
 use crate::phase::PhaseScale;
@@ -40,6 +42,7 @@ pub use oscillator::Oscillators;
 pub use precise::{Precise, PreciseSum};
 pub use recurrence::Recurrence;
 pub use table::Table;
+pub use with_kernel::{KernelSum, WithKernel};
 
 /// A kernel by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -110,7 +113,7 @@ pub trait Accumulate<B: Basis> {
     /// Its name.
     const KERNEL: Kernel;
     /// A sum of the signed atoms of a chunk.
-    type Sum: Copy + Default;
+    type Sum: KernelSum;
     /// Memory that it needs beside the sums.
     type Work: Default;
 

@@ -124,6 +124,9 @@ pub trait Basis {
     const TRANSFORM: Transform;
     /// Which coefficients are kept.
     const RULE: Rule;
+    /// Whether the encoder may take its walks for this transform, which have the table's kernel in
+    /// them, in place of [`Self::accumulate`].
+    const HAS_WALKS: bool = true;
 
     /// Accumulate: c_k = sum_i p_i phi_k(u_i) (eq. 6) for k in 1..`grid`, over at most
     /// [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) impulses; more are left out. `sums`, 2K or longer, is overwritten, but for

@@ -10,13 +10,14 @@ use clap::{Args, ValueEnum};
 use super::output::{print, print_json};
 use crate::bench::cut::{self, Cut};
 use crate::bench::kernel_image::Images;
-use crate::bench::mcu::{self, Count, TARGETS};
-use crate::bench::window::{CROWDED_EVENTS, Windows};
+use crate::bench::mcu::{self, Count};
+use crate::bench::window::Windows;
 use crate::bench::{
-    Effort, M, Origin, Row, errors, measure, over_windows, scaling, skips, steps, windows,
+    Effort, Origin, Row, errors, measure, over_windows, scaling, skips, steps, windows,
 };
 use crate::progress::Progress;
-use crate::report::{error_chart, kernel_chart};
+use crate::report::marks::Marks;
+use crate::report::{error_chart, kernel_chart, kernel_table, skip_table};
 
 /// Where recordings are looked for unless a folder is given.
 const RECORDINGS: &str = "../shared/data";
@@ -72,6 +73,11 @@ pub struct Bench {
     #[arg(long, conflicts_with = "scaling")]
     skips: bool,
 
+    /// Also write the table into a document, between the lines that name this command: README.md,
+    /// with --skips METHODOLOGY.md; of the recordings alone
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "scaling", "errors"])]
+    save: Option<PathBuf>,
+
     /// Print one JSON array of rows instead of the table
     #[arg(long)]
     json: bool,
@@ -84,6 +90,9 @@ impl Bench {
     /// A recording that cannot be read, a folder that cannot be written, a kernel that is not
     /// within its documented error.
     pub fn run(self) -> Result<()> {
+        if let Some(document) = &self.save {
+            self.marks().check(document)?;
+        }
         if self.scaling {
             return self.scale();
         }
@@ -96,6 +105,7 @@ impl Bench {
             return self.errors();
         }
         let (cuts, origin) = self.cuts()?;
+        self.can_save(origin == Origin::Recordings)?;
         let effort = if self.quick {
             Effort::QUICK
         } else {
@@ -109,6 +119,7 @@ impl Bench {
         let rows = rows?;
         let merged = over_windows(&rows);
         let files = self.chart(&merged, &cuts)?;
+        self.save(kernel_table::document(&merged))?;
         if self.json {
             eprintln!("eecvs: instructions: {source}");
             return print_json(&rows);
@@ -117,7 +128,7 @@ impl Bench {
             "accumulate stage, windows {} ({})\ninstructions: {source}\n{}\nchart: {}\n",
             names(&cuts),
             origin.name(),
-            table(&merged),
+            kernel_table::table(&merged),
             files.map(|file| file.display().to_string()).join(", "),
         ))
     }
@@ -133,16 +144,54 @@ impl Bench {
             );
             sources = skips::source::scenes()?;
         }
+        let is_there = |name: &str| sources.iter().any(|source| source.name == name);
+        self.can_save(skip_table::COLUMNS.iter().all(|(name, _)| is_there(name)))?;
         let steps = skips::steps(sources.len());
         let progress = Progress::new(&format!("of {steps} points"));
         let rows = skips::measure(&sources, self.quick, &mut || progress.advance(1));
         drop(progress);
         let rows = rows?;
+        self.save(skip_table::document(&rows))?;
         if self.json {
             print_json(&rows)
         } else {
-            print(&skips_table(&rows))
+            print(&skip_table::table(&rows))
         }
+    }
+
+    /// Where the document has the table.
+    const fn marks(&self) -> Marks {
+        if self.skips {
+            skip_table::MARKS
+        } else {
+            kernel_table::MARKS
+        }
+    }
+
+    /// Says so before anything is measured where the document's table would not be of what it is of.
+    fn can_save(&self, has_recordings: bool) -> Result<()> {
+        if let Some(document) = &self.save {
+            ensure!(
+                has_recordings,
+                "{}: its table is of recordings, which are not all in {}: --recordings names their \
+                 folder",
+                document.display(),
+                self.recordings
+                    .as_deref()
+                    .unwrap_or(Path::new(RECORDINGS))
+                    .display()
+            );
+        }
+        Ok(())
+    }
+
+    /// Writes the table into the document, where there is one.
+    fn save(&self, table: Option<String>) -> Result<()> {
+        let Some(document) = &self.save else {
+            return Ok(());
+        };
+        let table = table.context("a row of the table was not measured: please report this")?;
+        self.marks().write(document, &table)
     }
 
     /// What is measured.
@@ -299,77 +348,6 @@ fn names(cuts: &[Cut]) -> String {
     names.join(", ")
 }
 
-/// A table for each transform and target, and for crowded pixels: kernels down, M across; `*` is on
-/// the front.
-fn table(rows: &[Row]) -> String {
-    let mut text = String::new();
-    let targets = TARGETS.map(|(name, _)| name);
-    for target in std::iter::once("host").chain(targets) {
-        for is_crowded in [false, true] {
-            for transform in ["dct", "dtft", "dwt", "none"] {
-                let here: Vec<&Row> = rows
-                    .iter()
-                    .filter(|row| (row.target, row.is_crowded) == (target, is_crowded))
-                    .filter(|row| row.transform == transform)
-                    .collect();
-                text += &kernels_table(&here);
-            }
-        }
-    }
-    text
-}
-
-/// Of one transform and target; nothing without rows.
-fn kernels_table(rows: &[&Row]) -> String {
-    let Some(first) = rows.first() else {
-        return String::new();
-    };
-    let name = match first.transform {
-        "none" => "no transform, M bins",
-        transform => transform,
-    };
-    let crowded = if first.is_crowded {
-        format!(", pixels of {CROWDED_EVENTS} events and more")
-    } else {
-        String::new()
-    };
-    let mut text = format!(
-        "\n{name}, {}{crowded}: {}, largest error\n{:<15}",
-        first.target, first.unit, ""
-    );
-    for m in M {
-        text += &format!("{:>22}", format!("M = {m}  "));
-    }
-    text = text.trim_end().to_owned() + "\n";
-    let mut kernels: Vec<&str> = Vec::new();
-    for row in rows {
-        if !kernels.contains(&row.kernel) {
-            kernels.push(row.kernel);
-        }
-    }
-    for kernel in kernels {
-        let mut line = format!("{kernel:<15}");
-        for m in M {
-            let row = rows.iter().find(|row| row.kernel == kernel && row.m == m);
-            line += &row.map_or_else(|| " ".repeat(22), |row| cell(row));
-        }
-        text += line.trim_end();
-        text.push('\n');
-    }
-    text
-}
-
-/// Cost, error, and whether it is on the front, in 22 columns.
-fn cell(row: &Row) -> String {
-    let error = match row.max_error {
-        None => "-".to_owned(),
-        Some(0.0) => "0".to_owned(),
-        Some(error) => format!("{error:.1e}"),
-    };
-    let mark = if row.pareto { '*' } else { ' ' };
-    format!("{:>11.1} {error:>8} {mark}", row.cost)
-}
-
 fn scaling_table(rows: &[scaling::Row]) -> String {
     let mut text = "whole encoder, DCT, M = 8, one thread\n".to_owned();
     for (axis, heading) in [
@@ -397,50 +375,4 @@ fn scaling_table(rows: &[scaling::Row]) -> String {
         }
     }
     text
-}
-
-/// A table in Markdown: what is skipped down, recordings across.
-fn skips_table(rows: &[skips::Row]) -> String {
-    let mut recordings: Vec<&str> = rows.iter().map(|row| row.recording).collect();
-    recordings.dedup();
-    let mut text = "| skipped | transform | unit | how |".to_owned();
-    for recording in &recordings {
-        text += &format!(" {recording} |");
-    }
-    text += "\n|---|---|---|---|";
-    text += &"---|".repeat(recordings.len());
-    text.push('\n');
-    let key = |row: &skips::Row| (row.skip, row.transform, row.unit);
-    let of_first = rows.iter().filter(|row| row.recording == recordings[0]);
-    for first in of_first {
-        text += &format!(
-            "| {} | {} | {} | {} |",
-            first.skip,
-            first.transform,
-            first.unit,
-            first.how.name()
-        );
-        for recording in &recordings {
-            let mut same = rows.iter().filter(|row| key(row) == key(first));
-            if let Some(row) = same.find(|row| row.recording == *recording) {
-                text += &format!(
-                    " {} of {}, {:.0} % |",
-                    figure(row.with),
-                    figure(row.without),
-                    row.saved_percent
-                );
-            }
-        }
-        text.push('\n');
-    }
-    text
-}
-
-/// Three digits, or all before the point.
-fn figure(value: f64) -> String {
-    match value {
-        100.0.. => format!("{value:.0}"),
-        10.0.. => format!("{value:.1}"),
-        _ => format!("{value:.2}"),
-    }
 }

@@ -20,7 +20,7 @@ use crate::frame_file::FrameReader;
 use crate::metrics;
 use crate::progress::Progress;
 use crate::report::chart;
-use crate::report::demo::{Page, Row, table};
+use crate::report::demo::{MARKS, Page, Row, document, table};
 use crate::report::frame_picture::{FrameStyle, FrameSums, comparison_strip};
 use crate::scene::{Preset, SceneConfig, emulate};
 use crate::thresholds_file::ThresholdsFile;
@@ -42,6 +42,10 @@ pub struct Demo {
     /// Seed of the scene
     #[arg(long, default_value_t = 1)]
     seed: u64,
+
+    /// Also write the table into a document, README.md, between the lines that name this command
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["scene", "seed"])]
+    save: Option<PathBuf>,
 }
 
 /// Files and settings of the run.
@@ -58,6 +62,9 @@ impl Demo {
     /// # Errors
     /// A folder that cannot be written.
     pub fn run(self) -> Result<()> {
+        if let Some(document) = &self.save {
+            MARKS.check(document)?;
+        }
         fs::create_dir_all(&self.output)
             .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
         let config = SceneConfig::new(self.scene, self.seed);
@@ -95,6 +102,10 @@ impl Demo {
         ] {
             say(&format!("{name:<10} encode, decode, compare"))?;
             rows.push(run.row(name, transform)?);
+        }
+
+        if let Some(path) = &self.save {
+            MARKS.write(path, &document(&rows))?;
         }
 
         let pictures = run.pictures()?;

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use eecvs_nostd::{Config, OUTPUT_BYTES_MIN, Quantiser, Transform, WindowConfig};
+use eecvs_nostd::{Config, Kernel, OUTPUT_BYTES_MIN, Quantiser, Transform, WindowConfig};
 
 use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json, rows};
-use crate::encode::{EncodeSummary, Limits, all_cores, encode};
+use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode};
 use crate::formats;
 use crate::output_file::{OutputFile, refuse_same_file};
 use crate::progress::Progress;
@@ -27,6 +27,11 @@ pub struct Encode {
 
     #[command(flatten)]
     codec: CodecOptions,
+
+    /// Kernel that computes the coefficients of the DCT and the DTFT; the Haar transform has one
+    /// alone, which is exact. A decoder need not know: coefficients differ by the kernel's error
+    #[arg(long, value_enum, value_name = "NAME", default_value = "table")]
+    kernel: KernelName,
 
     #[command(flatten)]
     limits: LimitOptions,
@@ -112,6 +117,33 @@ enum TransformName {
     Dwt,
 }
 
+/// A kernel on the command line, with its error of a coefficient per event in the pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum KernelName {
+    /// The encoder's own and the fastest: within 2^-14 per event in the pixel
+    Table,
+    /// Chebyshev recurrence in fixed point: 2^-16
+    Recurrence,
+    /// An atom at a time in fixed point: 2^-26
+    Precise,
+    /// An atom at a time by micromath's f32: 2^-9
+    Micromath,
+    /// Chebyshev recurrence in f32, seeds by libm: 2^-14
+    Libm,
+}
+
+impl KernelName {
+    const fn kernel(self) -> Kernel {
+        match self {
+            Self::Table => Kernel::Table,
+            Self::Recurrence => Kernel::Recurrence,
+            Self::Precise => Kernel::Precise,
+            Self::Micromath => Kernel::Micromath,
+            Self::Libm => Kernel::Libm,
+        }
+    }
+}
+
 impl CodecOptions {
     /// Configuration of the encoder for a sensor.
     ///
@@ -156,13 +188,16 @@ impl Encode {
     /// A recording that cannot be read, an output that cannot be written.
     pub fn run(self) -> Result<()> {
         let mut reader = formats::open(&self.input, self.size.sensor())?;
-        let config = self.codec.config(reader.sensor())?;
+        let codec = Codec {
+            config: self.codec.config(reader.sensor())?,
+            kernel: self.kernel.kernel(),
+        };
         refuse_same_file(&self.input, &self.output)?;
         let mut out = OutputFile::create(&self.output)?;
         let progress = Progress::new("events");
         let summary = encode(
             reader.as_mut(),
-            config,
+            codec,
             self.limits.limits(),
             self.threads
                 .and_then(|threads| NonZeroUsize::new(threads.into()))

@@ -1,5 +1,6 @@
 //! Runs the core's encoder over a recording.
 
+mod codec;
 mod cutter;
 mod parallel;
 mod storage;
@@ -9,10 +10,11 @@ use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use eecvs_nostd::{Config, Header, OUTPUT_BYTES_MIN, Transform};
+use eecvs_nostd::{Header, OUTPUT_BYTES_MIN, Transform};
 use serde::Serialize;
 
 use crate::formats::EventReader;
+pub use codec::Codec;
 use cutter::{Cutter, Direct};
 pub use storage::HostStorage;
 
@@ -130,21 +132,22 @@ type Outcome = (EncodeSummary, Duration);
 /// frames of the windows before a reading error have been written.
 pub fn encode(
     reader: &mut dyn EventReader,
-    config: Config,
+    codec: impl Into<Codec>,
     limits: Limits,
     threads: NonZeroUsize,
     out: &mut dyn Write,
     progress: &mut dyn FnMut(u64),
 ) -> Result<EncodeSummary> {
+    let codec = codec.into();
     ensure!(
         limits.frame_bytes >= OUTPUT_BYTES_MIN,
         "a frame needs room for at least {OUTPUT_BYTES_MIN} bytes"
     );
     let started = Instant::now();
     let run = if threads == NonZeroUsize::MIN {
-        encode_here(reader, config, limits, out, progress)
+        encode_here(reader, codec, limits, out, progress)
     } else {
-        parallel::encode(reader, config, limits, threads, out, progress)
+        parallel::encode(reader, codec, limits, threads, out, progress)
     };
     let (mut summary, encoding) = run?;
     summary.threads = threads.get();
@@ -164,21 +167,22 @@ pub fn encode(
 /// Encodes on this thread.
 fn encode_here(
     reader: &mut dyn EventReader,
-    config: Config,
+    codec: Codec,
     limits: Limits,
     out: &mut dyn Write,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Outcome> {
-    let mut storage = HostStorage::new(config.window.sensor, limits.window_events);
-    let mut encoder = storage.encoder(config)?;
+    let mut storage = HostStorage::new(codec.config.window.sensor, limits.window_events);
+    let (mut windows, mut encoder) = storage.parts(codec.config)?;
+    let window = windows.first_mut().context("the memory has no window")?;
     let mut cutter = Cutter::new(Direct(reader));
     let mut frame = vec![0; limits.frame_bytes];
     let mut summary = EncodeSummary::default();
     let mut encoding = Duration::ZERO;
-    while cutter.cut(encoder.window(), &mut encoding)? {
+    while cutter.cut(window, &mut encoding)? {
         loop {
             let started = Instant::now();
-            let encoded = encoder.next_frame(&mut frame);
+            let encoded = codec.next_frame(&mut encoder, window, &mut frame);
             encoding += started.elapsed();
             match encoded {
                 Ok(Some(encoded)) => {

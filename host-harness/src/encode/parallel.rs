@@ -29,10 +29,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
 use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
-use eecvs_nostd::{Config, Encoded, Event, Header, Window, WindowEncoder};
+use eecvs_nostd::{Encoded, Event, Header, Window, WindowEncoder};
 
 use super::cutter::{Batches, Cutter};
-use super::{EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, write_frame};
+use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, write_frame};
 use crate::formats::EventReader;
 
 /// Batches of events that are read ahead.
@@ -100,19 +100,19 @@ struct Shared {
 /// As [`super::encode`], on `threads` threads beside one that reads and this one, which writes.
 pub fn encode(
     reader: &mut dyn EventReader,
-    config: Config,
+    codec: Codec,
     limits: Limits,
     threads: NonZeroUsize,
     out: &mut dyn Write,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Outcome> {
-    let sensor = config.window.sensor;
+    let sensor = codec.config.window.sensor;
     let mut storages: Vec<_> = (0..threads.get())
         .map(|_| HostStorage::with_windows(WINDOWS, sensor, limits.window_events))
         .collect();
     let encoders: Vec<_> = storages
         .iter_mut()
-        .map(|storage| storage.parts(config))
+        .map(|storage| storage.parts(codec.config))
         .collect::<Result<_>>()?;
     let shared = Shared {
         frame_bytes: limits.frame_bytes,
@@ -146,6 +146,7 @@ pub fn encode(
             let thread = start("encode").spawn_scoped(scope, move || {
                 let mut thread = Thread {
                     shared,
+                    codec,
                     windows,
                     encoder,
                     busy: Duration::ZERO,
@@ -242,6 +243,7 @@ impl Front {
 /// A thread that encodes.
 struct Thread<'s, 'b> {
     shared: &'s Shared,
+    codec: Codec,
     windows: Vec<Window<'b>>,
     encoder: WindowEncoder<'b>,
     busy: Duration,
@@ -272,7 +274,7 @@ impl Thread<'_, '_> {
             loop {
                 let started = Instant::now();
                 let room = chunk.bytes.get_mut(at..at + self.shared.frame_bytes)?;
-                let encoded = self.encoder.next_frame(window, room);
+                let encoded = self.codec.next_frame(&mut self.encoder, window, room);
                 self.busy += started.elapsed();
                 let Ok(encoded) = encoded else {
                     return chunks.send(Err(anyhow!(NO_ROOM))).ok();

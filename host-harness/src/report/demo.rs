@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use super::marks::Marks;
 use crate::encode::EncodeSummary;
 use crate::metrics::Comparison;
 
@@ -68,6 +69,42 @@ pub fn table(rows: &[Row]) -> String {
     line(HEADINGS) + &body.collect::<String>()
 }
 
+/// Where the README has its table.
+pub const MARKS: Marks = Marks {
+    name: "demo",
+    command: "eecvs demo --save README.md",
+};
+
+/// The table for the README, which leaves out what the link carries exactly.
+#[must_use]
+pub fn document(rows: &[Row]) -> String {
+    let mut text = String::from(
+        "| transform | windows dct/dtft/dwt | bits/event | encoding, Mev/s | emd_time, ms | \
+         emd_pixel, us |\n|---|---|---|---|---|---|\n",
+    );
+    for row in rows {
+        let name = match row.name {
+            "dct" => "DCT",
+            "dtft" => "DTFT",
+            "dwt" => "Haar DWT",
+            other => other,
+        };
+        let (e, c) = (&row.encoded, &row.compared);
+        let _ = writeln!(
+            text,
+            "| {name} | {}/{}/{} | {:.1} | {:.1} | {:.3} | {:.0} |",
+            e.windows_dct,
+            e.windows_dtft,
+            e.windows_dwt,
+            e.bits_per_event,
+            e.events_per_s / 1e6,
+            c.emd_time_ms,
+            c.emd_pixel_us
+        );
+    }
+    text
+}
+
 /// What the page shows.
 #[derive(Debug)]
 pub struct Page<'p> {
@@ -127,4 +164,45 @@ fn escape(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::marks::of_project;
+
+    #[test]
+    fn the_readme_has_the_marks_and_these_rows() {
+        let row = |name| Row {
+            name,
+            encoded: EncodeSummary {
+                windows_dct: 8,
+                windows_dtft: 15,
+                windows_dwt: 9,
+                bits_per_event: 52.34,
+                events_per_s: 24.68e6,
+                ..EncodeSummary::default()
+            },
+            compared: Comparison {
+                events_a: 1,
+                events_b: 1,
+                exact_fraction: 0.0,
+                mse: 0.0,
+                ssim: 1.0,
+                emd_time_ms: 0.0899,
+                emd_pixel_us: 119.6,
+                late_a: 0,
+                late_b: 0,
+            },
+        };
+        let expected = document(&["auto", "dct", "dtft", "dwt"].map(row));
+        let line = "| auto | 8/15/9 | 52.3 | 24.7 | 0.090 | 120 |";
+        assert_eq!(expected.lines().nth(2), Some(line));
+        let readme = of_project("README.md");
+        let content = MARKS.content(&readme).unwrap();
+        let name = |line: &str| line.split('|').nth(1).map(str::to_owned);
+        let names = |text: &str| text.lines().map(name).collect::<Vec<_>>();
+        assert_eq!(names(content), names(&expected));
+        assert_eq!(content.lines().next(), expected.lines().next());
+    }
 }

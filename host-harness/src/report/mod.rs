@@ -1,9 +1,12 @@
-//! Pictures and charts of the reports.
+//! Pictures, charts and tables of the reports.
 
 pub mod chart;
 pub mod demo;
 pub mod error_chart;
 pub mod frame_picture;
 pub mod kernel_chart;
+pub mod kernel_table;
+pub mod marks;
 pub mod picture;
 pub mod picture_backend;
+pub mod skip_table;
