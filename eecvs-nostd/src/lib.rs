@@ -16,6 +16,7 @@ extern crate std;
 pub mod atom;
 pub mod bits;
 mod checksum;
+pub mod coder;
 pub mod density;
 pub mod descriptor;
 pub mod encoder;
