@@ -46,6 +46,10 @@ struct Golden {
     height: u16,
     transform: String,
     m: u8,
+    #[serde(default)]
+    mode: u8,
+    #[serde(default)]
+    fidelity: u32,
     events: Vec<(u64, u16, u16, u8)>,
     frames: Vec<String>,
 }
@@ -65,6 +69,8 @@ fn golden() -> Result<String, Box<dyn Error>> {
             height,
             transform,
             m,
+            mode,
+            fidelity,
             events,
             frames,
         } = golden;
@@ -75,6 +81,7 @@ fn golden() -> Result<String, Box<dyn Error>> {
         writeln!(
             text,
             "Golden {{ width: {width}, height: {height}, transform: {transform:?}, m: {m}, \
+             mode: {mode}, fidelity: {fidelity}, \
              events: &{events:?}, frames: &["
         )?;
         for frame in frames {

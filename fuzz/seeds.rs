@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use eecvs_nostd::{
-    Config, Encoder, Event, Polarity, Push, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+    Config, Encoder, Event, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Sensor, Thresholds,
+    Transform, WindowConfig,
 };
 use host_harness::encode::HostStorage;
 use host_harness::formats;
@@ -119,6 +120,8 @@ fn frames(folder: &Path) -> anyhow::Result<()> {
             m: 8,
             grid: None,
             quantiser: Quantiser::DEFAULT,
+            mode: Mode::Transform,
+            key_windows: KEY_WINDOWS,
         };
         let mut storage = HostStorage::new(sensor, 100);
         let mut encoder = storage.encoder(config)?;

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 
-const FLASH_BYTES_MAX: u64 = 96 << 10;
+const FLASH_BYTES_MAX: u64 = 128 << 10;
 const RAM_BYTES_MAX: u64 = 112 << 10;
 /// Of memory.x.
 const STACK_BYTES: u32 = 8 << 10;

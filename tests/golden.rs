@@ -6,7 +6,11 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use eecvs_nostd::{Coded, Event, Level, OUTPUT_BYTES_MIN, Polarity, Sensor, Transform};
+use eecvs_nostd::event_link::Setup;
+use eecvs_nostd::{
+    Coded, Coder, Event, Fidelity, Hybrid, Level, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor,
+    Transform,
+};
 use serde::{Deserialize, Serialize};
 use strategies::{encode, parse, plain_config};
 
@@ -28,6 +32,11 @@ struct Golden {
     height: u16,
     transform: String,
     m: u8,
+    /// Mode and fidelity's value, as in a setup of the event link.
+    #[serde(default)]
+    mode: u8,
+    #[serde(default)]
+    fidelity: u32,
     /// (t_us, x, y, p)
     events: Vec<(u64, u16, u16, u8)>,
     pixels: Vec<GoldenPixel>,
@@ -62,6 +71,62 @@ fn events() -> Vec<Event> {
 }
 
 #[test]
+fn hybrid_frames_are_those_of_the_golden_vectors() {
+    let sensor = Sensor {
+        width: 40,
+        height: 3,
+    };
+    // Twice, in a window each: the dense coder's second frame goes on from the first.
+    let mut events = events();
+    let later = events.clone().into_iter().map(|event| Event {
+        t_us: event.t_us + 65_536,
+        ..event
+    });
+    events.extend(later);
+    for (name, coder, fidelity) in [
+        ("fast", Coder::Fast, Fidelity::Lossless),
+        ("dense", Coder::Dense, Fidelity::Lossless),
+        ("fast_tolerance", Coder::Fast, Fidelity::ToleranceUs(20)),
+        ("dense_bins", Coder::Dense, Fidelity::Bins(8)),
+    ] {
+        let mut config = plain_config(sensor, Transform::Dct, 16);
+        config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
+        let setup = Setup::new(&config, 0);
+        let frames = encode(config, &events, 1000, OUTPUT_BYTES_MIN);
+        let golden = Golden {
+            width: sensor.width,
+            height: sensor.height,
+            transform: "dct".into(),
+            m: 16,
+            mode: setup.mode,
+            fidelity: setup.fidelity,
+            events: listed(&events),
+            pixels: vec![],
+            frames: frames.iter().map(|bytes| hex(bytes)).collect(),
+        };
+        let frozen = frozen(&format!("v2_hybrid_{name}.json"), &golden);
+        assert_eq!(golden.events, frozen.events, "{name}: events");
+        assert_eq!(golden.frames, frozen.frames, "{name}: bytes");
+    }
+}
+
+fn listed(events: &[Event]) -> Vec<(u64, u16, u16, u8)> {
+    let plain = |e: &Event| (e.t_us, e.x, e.y, e.polarity as u8);
+    events.iter().map(plain).collect()
+}
+
+/// The vector of a file, which is written anew where that is asked for.
+fn frozen(name: &str, golden: &Golden) -> Golden {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("golden/{name}"));
+    if std::env::var_os("EECVS_BLESS").is_some() {
+        let text = serde_json::to_string(golden).expect("plain data") + "\n";
+        std::fs::write(&path, text).expect("the golden folder is writable");
+    }
+    let text = std::fs::read_to_string(&path).expect("a golden vector");
+    serde_json::from_str(&text).expect("a golden vector's JSON")
+}
+
+#[test]
 fn frames_are_those_of_the_golden_vectors() {
     let sensor = Sensor {
         width: 40,
@@ -81,21 +146,14 @@ fn frames_are_those_of_the_golden_vectors() {
                 height: sensor.height,
                 transform: transform.name().into(),
                 m,
-                events: events
-                    .iter()
-                    .map(|e| (e.t_us, e.x, e.y, e.polarity as u8))
-                    .collect(),
+                mode: 0,
+                fidelity: 0,
+                events: listed(&events),
                 pixels: frames.iter().flat_map(|bytes| pixels(bytes)).collect(),
                 frames: frames.iter().map(|bytes| hex(bytes)).collect(),
             };
-            let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-                .join(format!("golden/v1_{}_{m}.json", transform.name()));
-            if std::env::var_os("EECVS_BLESS").is_some() {
-                let text = serde_json::to_string(&golden).expect("plain data") + "\n";
-                std::fs::write(&path, text).expect("the golden folder is writable");
-            }
-            let text = std::fs::read_to_string(&path).expect("a golden vector");
-            let frozen: Golden = serde_json::from_str(&text).expect("a golden vector's JSON");
+            let name = format!("v2_{}_{m}.json", transform.name());
+            let frozen = frozen(&name, &golden);
             assert_eq!(golden.events, frozen.events, "{transform:?} {m}: events");
             assert_eq!(golden.pixels, frozen.pixels, "{transform:?} {m}: levels");
             assert_eq!(golden.frames, frozen.frames, "{transform:?} {m}: bytes");

@@ -16,6 +16,8 @@ fn header() -> Header {
         last: false,
         regime: Regime::Sparse,
         mode: Mode::Transform,
+        is_key: true,
+        has_previous: false,
         sequence: 0,
         part: 0,
         sensor: Sensor {

@@ -9,8 +9,8 @@ use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
 use eecvs_nostd::{
-    Config, Encoder, Event, Frame, Polarity, Push, Quantiser, Scratch, Sensor, Thresholds, Window,
-    WindowBuffers, WindowConfig, WindowEncoder,
+    Config, Encoder, Event, Frame, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Scratch, Sensor,
+    Thresholds, Window, WindowBuffers, WindowConfig, WindowEncoder,
 };
 use proptest::prelude::*;
 
@@ -33,6 +33,8 @@ fn config() -> Config {
         m: 8,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode: Mode::Transform,
+        key_windows: KEY_WINDOWS,
     }
 }
 
@@ -140,6 +142,7 @@ impl Machine {
                     sums: leak(Sum::ZERO, 64),
                     totals: leak(WideSum::ZERO, 64),
                     magnitudes: leak(0, 64),
+                    dense: None,
                 };
                 self.encoder = Some(WindowEncoder::new(config, scratch).unwrap());
                 let buffers =
@@ -204,6 +207,7 @@ fn expected(events: &[Event]) -> Vec<u8> {
         sums: &mut sums,
         totals: &mut totals,
         magnitudes: &mut magnitudes,
+        dense: None,
     };
     let mut encoder = Encoder::set_up(config(), buffers, scratch).unwrap();
     let mut frames = Vec::new();

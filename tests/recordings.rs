@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
-use eecvs_nostd::{Config, Quantiser, Thresholds, Transform, WindowConfig};
+use eecvs_nostd::{Config, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform, WindowConfig};
 use host_harness::calibrate::Calibration;
 use host_harness::decode::WindowReader;
 use host_harness::encode::{Limits, all_cores, encode};
@@ -42,6 +42,8 @@ fn frames(path: &Path, transform: Option<Transform>, m: u8, thresholds: Threshol
         m,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode: Mode::Transform,
+        key_windows: KEY_WINDOWS,
     };
     let mut bytes = Vec::new();
     let summary = encode(

@@ -3,8 +3,8 @@
 pub mod one_pixel;
 
 use eecvs_nostd::{
-    Config, Event, Frame, Polarity, Push, Quantiser, Scan, Sensor, Thresholds, Transform,
-    WindowConfig, scan,
+    Coder, Config, Event, Fidelity, Frame, Hybrid, KEY_WINDOWS, Mode, Polarity, Push, Quantiser,
+    Scan, Sensor, Thresholds, Transform, WindowConfig, scan,
 };
 use host_harness::encode::HostStorage;
 use proptest::prelude::*;
@@ -76,8 +76,21 @@ pub fn config(sensor: Sensor) -> impl Strategy<Value = Config> {
                 m,
                 grid,
                 quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
+                mode: Mode::Transform,
+                key_windows: KEY_WINDOWS,
             },
         )
+}
+
+/// Any coder and fidelity.
+pub fn hybrid() -> impl Strategy<Value = Hybrid> {
+    let fidelity = prop_oneof![
+        2 => Just(Fidelity::Lossless),
+        1 => (0_u32..3000).prop_map(Fidelity::ToleranceUs),
+        1 => (1_u16..300).prop_map(Fidelity::Bins),
+    ];
+    (prop_oneof![Just(Coder::Fast), Just(Coder::Dense)], fidelity)
+        .prop_map(|(coder, fidelity)| Hybrid { coder, fidelity })
 }
 
 /// A configuration with its sensor and events.
@@ -98,6 +111,8 @@ pub fn plain_config(sensor: Sensor, transform: Transform, m: u8) -> Config {
         m,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode: Mode::Transform,
+        key_windows: KEY_WINDOWS,
     }
 }
 

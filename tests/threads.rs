@@ -5,12 +5,12 @@ use std::io::{self, Write};
 use std::num::NonZeroUsize;
 
 use anyhow::{Result, bail};
-use eecvs_nostd::{Config, Event, OUTPUT_BYTES_MIN, Sensor, Thresholds, Transform};
+use eecvs_nostd::{Config, Event, Mode, OUTPUT_BYTES_MIN, Sensor, Thresholds, Transform};
 use host_harness::encode::{EncodeSummary, Limits, encode};
 use host_harness::formats::{EventReader, Skipped};
 use host_harness::scene::{Preset, SceneConfig, emulate};
 use proptest::prelude::*;
-use strategies::{encode as frames_of, job, plain_config};
+use strategies::{encode as frames_of, hybrid, job, plain_config};
 
 /// What a [`Source`] does after its last event.
 #[derive(Clone, Copy, PartialEq)]
@@ -136,11 +136,14 @@ proptest! {
     #[test]
     fn the_bytes_are_those_of_one_encoder(
         (config, events) in job(1500),
+        mode in prop_oneof![Just(Mode::Transform), hybrid().prop_map(Mode::Hybrid)],
+        key_windows in 1_u16..20,
         window_events in prop_oneof![1..20_usize, 20..2000_usize],
         frame_bytes in prop_oneof![Just(OUTPUT_BYTES_MIN), OUTPUT_BYTES_MIN..20_000],
         batches in proptest::collection::vec(1..400_usize, 1..5),
         damaged in proptest::bool::weighted(0.2),
     ) {
+        let config = Config { mode, key_windows, ..config };
         let sensor = config.window.sensor;
         let limits = Limits { window_events, frame_bytes };
         let end = if damaged { End::Damage } else { End::Clean };

@@ -3,8 +3,12 @@
 use core::ops::Range;
 
 use crate::bits::BitWriter;
+use crate::coder::chain::Chain;
+use crate::coder::dense::{Dense, DenseMemory};
+use crate::coder::{Cells, Coder, Fidelity, Hybrid};
 use crate::density::Density;
 use crate::event::Event;
+use crate::event_encoder::EventEncoder;
 use crate::fixed_point::{Sum, WideSum};
 use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, seal};
 use crate::group::Group;
@@ -38,6 +42,12 @@ pub struct Config {
     pub grid: Option<u16>,
     /// Quantiser of the coefficients.
     pub quantiser: Quantiser,
+    /// What frames hold. In a hybrid one transform, M, K and quantiser are those of the volume that a
+    /// decoder makes.
+    pub mode: Mode,
+    /// Windows after which a frame of the dense coder begins anew, so that a decoder that lost one
+    /// goes on: [`crate::coder::chain::KEY_WINDOWS`] is a choice for files and good links.
+    pub key_windows: u16,
 }
 
 /// Why a configuration cannot run.
@@ -50,6 +60,10 @@ pub enum ConfigError {
     Grid,
     /// [`Scratch`] is smaller than the largest grid needs.
     Scratch,
+    /// [`Scratch::dense`] is missing or smaller than the sensor needs.
+    Dense,
+    /// A volume of no bins.
+    Bins,
 }
 
 /// Why an encoder cannot be set up.
@@ -64,8 +78,8 @@ pub enum SetupError {
 }
 
 impl Config {
-    /// Whether it can run with scratch memory for `numbers` numbers.
-    const fn check(&self, numbers: usize) -> Result<(), ConfigError> {
+    /// Whether it can run with the memory.
+    const fn check(&self, scratch: &Scratch<'_>) -> Result<(), ConfigError> {
         if self.m == 0 || self.m as usize > M_MAX {
             return Err(ConfigError::M);
         }
@@ -74,10 +88,21 @@ impl Config {
         {
             return Err(ConfigError::Grid);
         }
-        if numbers < 2 * self.grid_max() {
-            return Err(ConfigError::Scratch);
+        match self.mode {
+            Mode::Transform if scratch.numbers() < 2 * self.grid_max() => Err(ConfigError::Scratch),
+            Mode::Hybrid(Hybrid {
+                fidelity: Fidelity::Bins(0),
+                ..
+            }) => Err(ConfigError::Bins),
+            Mode::Hybrid(Hybrid {
+                coder: Coder::Dense,
+                ..
+            }) => match &scratch.dense {
+                Some(memory) if memory.serves(self.window.sensor) => Ok(()),
+                _ => Err(ConfigError::Dense),
+            },
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// Largest K of any window.
@@ -109,6 +134,8 @@ pub struct Scratch<'b> {
     pub totals: &'b mut [WideSum],
     /// Magnitudes, and levels once these have told what is kept.
     pub magnitudes: &'b mut [u32],
+    /// What the dense coder of hybrid frames remembers; needed for it alone.
+    pub dense: Option<DenseMemory<'b>>,
 }
 
 impl Scratch<'_> {
@@ -125,11 +152,25 @@ impl Scratch<'_> {
     }
 }
 
+const fn is_dense(mode: Mode) -> bool {
+    matches!(
+        mode,
+        Mode::Hybrid(Hybrid {
+            coder: Coder::Dense,
+            ..
+        })
+    )
+}
+
 /// The window being encoded.
 #[derive(Debug, Clone, Copy)]
 struct Task {
     header: Header,
     scale: PhaseScale,
+    /// Events of the window in no frame yet.
+    left: u32,
+    /// The next pixel is the rest of one that is partly in a frame.
+    is_rest: bool,
 }
 
 /// A frame in the output.
@@ -152,6 +193,9 @@ pub struct WindowEncoder<'b> {
     group: Group,
     task: Option<Task>,
     sequence: u32,
+    chain: Chain,
+    /// Whatever the chain says, the next frame begins anew.
+    breaks: bool,
 }
 
 impl<'b> WindowEncoder<'b> {
@@ -160,7 +204,7 @@ impl<'b> WindowEncoder<'b> {
     /// # Errors
     /// [`ConfigError`].
     pub const fn new(config: Config, scratch: Scratch<'b>) -> Result<Self, ConfigError> {
-        if let Err(error) = config.check(scratch.numbers()) {
+        if let Err(error) = config.check(&scratch) {
             return Err(error);
         }
         Ok(Self {
@@ -170,6 +214,8 @@ impl<'b> WindowEncoder<'b> {
             group: Group::new(),
             task: None,
             sequence: 0,
+            chain: Chain::START,
+            breaks: false,
         })
     }
 
@@ -179,11 +225,18 @@ impl<'b> WindowEncoder<'b> {
     /// # Errors
     /// [`ConfigError`].
     pub fn set_up(&mut self, config: Config) -> Result<(), ConfigError> {
-        config.check(self.scratch.numbers())?;
+        config.check(&self.scratch)?;
         self.config = config;
         self.task = None;
         self.sequence = 0;
+        self.restart();
         Ok(())
+    }
+
+    /// Begins a chain of the dense coder's frames anew with the next window.
+    pub const fn restart(&mut self) {
+        self.chain = Chain::START;
+        self.breaks = false;
     }
 
     /// The configuration.
@@ -266,19 +319,28 @@ impl<'b> WindowEncoder<'b> {
         header.dropped = counts.dropped;
 
         let end = out.len().min(FRAME_BYTES_MAX) - CRC_BYTES;
-        let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..end]);
-        let scale = task.scale;
-        header.last = match header.transform {
-            Transform::Dct => self.encode_pixels::<C, _>(window, scale, header, &mut writer, trace),
-            Transform::Dtft => {
-                self.encode_pixels::<F, _>(window, scale, header, &mut writer, trace)
+        let payload = &mut out[HEADER_BYTES_MAX..end];
+        let payload_bytes = match header.mode {
+            Mode::Transform => {
+                let mut writer = BitWriter::new(payload);
+                let scale = task.scale;
+                header.last = match header.transform {
+                    Transform::Dct => {
+                        self.encode_pixels::<C, _>(window, scale, header, &mut writer, trace)
+                    }
+                    Transform::Dtft => {
+                        self.encode_pixels::<F, _>(window, scale, header, &mut writer, trace)
+                    }
+                    Transform::Dwt => {
+                        self.encode_pixels::<Dwt, _>(window, scale, header, &mut writer, trace)
+                    }
+                };
+                writer.finish()
             }
-            Transform::Dwt => {
-                self.encode_pixels::<Dwt, _>(window, scale, header, &mut writer, trace)
-            }
+            Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, &mut task, payload, trace),
         };
+        let header = &mut task.header;
         trace.enter(Stage::Frame);
-        let payload_bytes = writer.finish();
         let range = seal(header, payload_bytes, out)?;
         self.sequence = self.sequence.wrapping_add(1);
         let encoded = Encoded {
@@ -286,6 +348,7 @@ impl<'b> WindowEncoder<'b> {
             range,
         };
         header.part += 1;
+        header.is_key &= !is_dense(header.mode);
         self.task = Some(task);
         Ok(Some(encoded))
     }
@@ -305,7 +368,10 @@ impl<'b> WindowEncoder<'b> {
                 truncated: closed.truncated,
                 last: false,
                 regime,
-                mode: Mode::Transform,
+                mode: self.config.mode,
+                is_key: !is_dense(self.config.mode)
+                    || self.chain.next(window.events(), self.config.key_windows),
+                has_previous: false,
                 sequence: 0,
                 part: 0,
                 sensor,
@@ -324,7 +390,47 @@ impl<'b> WindowEncoder<'b> {
                 quantiser: self.config.quantiser,
             },
             scale: PhaseScale::new(closed.duration_us),
+            left: window.events(),
+            is_rest: false,
         }
+    }
+
+    /// Codes the window's events up to the last, or as far as there is room; returns the bytes they
+    /// took.
+    #[inline(never)]
+    fn encode_events<T: Trace>(
+        &mut self,
+        window: &mut Window<'_>,
+        hybrid: Hybrid,
+        task: &mut Task,
+        payload: &mut [u8],
+        trace: &mut T,
+    ) -> usize {
+        let header = &mut task.header;
+        let cells = Cells::new(hybrid.fidelity, header.duration_us);
+        let mut encoder = EventEncoder::new(&mut self.group, window, cells, &mut task.is_rest);
+        let taken = match (hybrid.coder, &mut self.scratch.dense) {
+            (Coder::Dense, Some(memory)) => {
+                header.is_key |= core::mem::take(&mut self.breaks);
+                header.has_previous = memory.has_previous(header.sensor);
+                match Dense::new(header.sensor, memory) {
+                    Some(mut dense) => {
+                        if header.is_key {
+                            dense.restart();
+                        }
+                        encoder.dense(&mut dense, task.left, payload, trace)
+                    }
+                    // `Config::check` has seen that there is enough.
+                    None => encoder.fast(header, payload, trace),
+                }
+            }
+            _ => encoder.fast(header, payload, trace),
+        };
+        header.events = taken.events;
+        header.last = taken.is_last;
+        task.left -= taken.events;
+        self.breaks = taken.overran;
+        taken.payload_bytes
     }
 
     /// Encodes pixels up to the last, or up to the first that finds no room; returns whether that
@@ -389,6 +495,8 @@ impl<'b> WindowEncoder<'b> {
 ///     m: 8,
 ///     grid: None,
 ///     quantiser: Quantiser::DEFAULT,
+///     mode: Mode::Hybrid(Hybrid::default()),
+///     key_windows: KEY_WINDOWS,
 /// };
 /// let mut encoder = storage.encoder(config).unwrap();
 /// let mut out = [0; 2048];

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::checksum::CRC_16;
 use crate::encoder::Config;
 use crate::event::Sensor;
+use crate::frame::Mode;
 use crate::link::next_sync;
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
@@ -127,6 +128,12 @@ pub struct Setup {
     pub grid: u16,
     /// log2 of the quantiser's step.
     pub step_log2: i8,
+    /// What frames hold, as the low four bits of a frame's mode.
+    pub mode: u8,
+    /// Microseconds of a tolerance, or bins; else 0.
+    pub fidelity: u32,
+    /// Windows after which a frame of the dense coder begins anew.
+    pub key_windows: u16,
     /// Time that the words' 0 stands for, in microseconds.
     pub time_base_us: u64,
     /// What to do with events while no window is free: 0 wait, so that the link's flow control
@@ -144,6 +151,7 @@ impl Setup {
     /// The setup of a configuration, for words from `time_base_us` on; waits when full.
     #[must_use]
     pub fn new(config: &Config, time_base_us: u64) -> Self {
+        let (mode, fidelity) = config.mode.code();
         Self {
             width: config.window.sensor.width,
             height: config.window.sensor.height,
@@ -156,6 +164,9 @@ impl Setup {
             m: config.m,
             grid: config.grid.unwrap_or(0),
             step_log2: config.quantiser.step_log2(),
+            mode,
+            fidelity: fidelity.unwrap_or(0),
+            key_windows: config.key_windows,
             time_base_us,
             when_full: Self::WAIT,
         }
@@ -195,6 +206,8 @@ impl Setup {
             m: self.m,
             grid: (self.grid > 0).then_some(self.grid),
             quantiser: Quantiser::new(self.step_log2)?,
+            mode: Mode::from_code(self.mode, self.fidelity)?,
+            key_windows: self.key_windows,
         })
     }
 }
@@ -488,6 +501,9 @@ mod tests {
             m: 16,
             grid: 0,
             step_log2: -6,
+            mode: 0,
+            fidelity: 0,
+            key_windows: 64,
             time_base_us: u64::MAX,
             when_full: Setup::WAIT,
         };

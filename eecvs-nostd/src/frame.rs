@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bits::BitReader;
 use crate::checksum::{CRC_16, crc_32};
+use crate::coder::{Coder, Fidelity, Hybrid};
 use crate::descriptor::Descriptor;
 use crate::event::Sensor;
 use crate::packing::Packing;
@@ -19,7 +20,7 @@ use crate::window::EVENTS_MAX;
 /// First two bytes of a frame.
 pub const SYNC: [u8; 2] = [0xEE, 0xC5];
 /// Version of the wire format.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// Largest frame, sync to CRC-32.
 pub const FRAME_BYTES_MAX: usize = 1 << 24;
 /// Largest header, sync to CRC-16.
@@ -30,16 +31,17 @@ pub const CRC_BYTES: usize = 4;
 /// Sync, version and header length.
 const PREFIX_BYTES: usize = 4;
 /// Every field of the header at its longest.
-const FIELDS_BYTES_MAX: usize = 79;
+const FIELDS_BYTES_MAX: usize = 86;
 const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
 
 /// What a payload holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[repr(u8)]
 pub enum Mode {
     /// Every active pixel as its kept coefficients: the paper's scheme.
-    Transform = 0,
+    Transform,
+    /// The events.
+    Hybrid(Hybrid),
 }
 
 /// Meaning of a frame's header.
@@ -54,6 +56,11 @@ pub struct Header {
     pub regime: Regime,
     /// What the payload holds.
     pub mode: Mode,
+    /// Nothing was learned from the frames before: it decodes by itself. Of the dense coder's frames
+    /// some do, of all others every one.
+    pub is_key: bool,
+    /// The dense coder looks at the window before.
+    pub has_previous: bool,
     /// Sequence number of the frame; wraps.
     pub sequence: u32,
     /// Number of the frame within its window, from 0.
@@ -68,7 +75,7 @@ pub struct Header {
     pub window_events: u32,
     /// Events in this frame.
     pub events: u32,
-    /// Active pixels in this frame.
+    /// Active pixels in this frame; 0 in a hybrid one, whose payload tells.
     pub pixels: u32,
     /// Events too old for their window, since the previous frame.
     pub late: u32,
@@ -78,7 +85,8 @@ pub struct Header {
     pub dropped: u32,
     /// Levels of this frame that did not fit 32 bits and were cut to the largest.
     pub saturated: u32,
-    /// Transform of the window.
+    /// Transform of the window; of a hybrid one, that of the volume made of it, as M, K and the
+    /// quantiser are.
     pub transform: Transform,
     /// M.
     pub m: u8,
@@ -88,25 +96,40 @@ pub struct Header {
     pub quantiser: Quantiser,
 }
 
-/// The header's fields in the order of the link; postcard writes them as varints.
+/// The header's fields in the order of the link; postcard writes them as varints, and those that a
+/// flag announces only where it is set.
 #[derive(Serialize, Deserialize)]
 struct Wire {
     payload_bytes: u32,
     flags: u8,
     mode: u8,
     sequence: u32,
-    part: u32,
     width: u16,
     height: u16,
     t0_us: u64,
     duration_us: u32,
     window_events: u32,
+}
+
+/// Where [`PART`] is set: the frame is not its whole window.
+#[derive(Serialize, Deserialize)]
+struct PartWire {
+    part: u32,
     events: u32,
-    pixels: u32,
+}
+
+/// Where [`COUNTS`] is set: one of them is not 0.
+#[derive(Serialize, Deserialize, PartialEq)]
+struct CountsWire {
     late: u32,
     filtered: u32,
     dropped: u32,
     saturated: u32,
+}
+
+/// Where [`SHAPE`] is set: always of a transform, else where they are not the default.
+#[derive(Serialize, Deserialize, PartialEq)]
+struct ShapeWire {
     transform: u8,
     m: u8,
     grid: u16,
@@ -114,8 +137,68 @@ struct Wire {
 }
 
 const TRUNCATED: u8 = 1;
-const LAST: u8 = 2;
+const LAST: u8 = 1 << 1;
 const REGIME_SHIFT: u32 = 2;
+const PART: u8 = 1 << 4;
+const COUNTS: u8 = 1 << 5;
+const SHAPE: u8 = 1 << 6;
+
+/// Codes of the mode.
+const TRANSFORM: u8 = 0;
+const FAST: u8 = 1;
+const DENSE: u8 = 2;
+const CODER: u8 = 3;
+const FIDELITY_SHIFT: u32 = 2;
+/// Codes of the fidelity.
+const LOSSLESS: u8 = 0;
+const TOLERANCE: u8 = 1;
+const BINS: u8 = 2;
+const KEY: u8 = 1 << 4;
+const PREVIOUS: u8 = 1 << 5;
+
+impl Mode {
+    /// Its code on a link, and the value that goes with it where there is one.
+    pub(crate) const fn code(self) -> (u8, Option<u32>) {
+        let Self::Hybrid(Hybrid { coder, fidelity }) = self else {
+            return (TRANSFORM, None);
+        };
+        let coder = match coder {
+            Coder::Fast => FAST,
+            Coder::Dense => DENSE,
+        };
+        let (fidelity, value) = match fidelity {
+            Fidelity::Lossless => (LOSSLESS, None),
+            Fidelity::ToleranceUs(tolerance_us) => (TOLERANCE, Some(tolerance_us)),
+            Fidelity::Bins(bins) => (BINS, Some(bins as u32)),
+        };
+        (coder | (fidelity << FIDELITY_SHIFT), value)
+    }
+
+    /// The inverse of [`Self::code`]; `None` for a code or a value that there is not.
+    pub(crate) const fn from_code(code: u8, value: u32) -> Option<Self> {
+        let fidelity = match code >> FIDELITY_SHIFT {
+            LOSSLESS => Fidelity::Lossless,
+            TOLERANCE => Fidelity::ToleranceUs(value),
+            BINS if value > 0 && value <= u16::MAX as u32 => Fidelity::Bins(value as u16),
+            _ => return None,
+        };
+        let coder = match (code & CODER, fidelity) {
+            (TRANSFORM, Fidelity::Lossless) => return Some(Self::Transform),
+            (FAST, _) => Coder::Fast,
+            (DENSE, _) => Coder::Dense,
+            _ => return None,
+        };
+        Some(Self::Hybrid(Hybrid { coder, fidelity }))
+    }
+}
+
+/// Whether a value goes with a mode's code.
+const fn has_value(code: u8) -> bool {
+    code >> FIDELITY_SHIFT != LOSSLESS
+}
+
+/// M where a hybrid frame does not say.
+pub const M_DEFAULT: u8 = 16;
 
 /// Why bytes are not a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -169,62 +252,177 @@ impl Header {
         }
     }
 
-    fn wire(&self, payload_bytes: u32) -> Wire {
-        Wire {
-            payload_bytes,
+    /// What a hybrid frame's volume is made with where it does not say.
+    const fn default_shape(regime: Regime) -> ShapeWire {
+        let transform = regime.transform();
+        ShapeWire {
+            transform: transform as u8,
+            m: M_DEFAULT,
+            grid: transform.grid_size(M_DEFAULT, None),
+            step_log2: Quantiser::DEFAULT.step_log2(),
+        }
+    }
+
+    /// Writes the fields to the start of `out`; their length.
+    fn write(&self, payload_bytes: u32, out: &mut [u8]) -> postcard::Result<usize> {
+        let is_part = self.part > 0 || !self.last || self.events != self.window_events;
+        let counts = CountsWire {
+            late: self.late,
+            filtered: self.filtered,
+            dropped: self.dropped,
+            saturated: self.saturated,
+        };
+        let has_counts = self.late | self.filtered | self.dropped | self.saturated != 0;
+        let shape = ShapeWire {
+            transform: self.transform as u8,
+            m: self.m,
+            grid: self.grid,
+            step_log2: self.quantiser.step_log2(),
+        };
+        let (code, value) = self.mode.code();
+        let is_transform = matches!(self.mode, Mode::Transform);
+        let mut mode = code;
+        if code & CODER == DENSE {
+            mode |= (u8::from(self.is_key) * KEY) | (u8::from(self.has_previous) * PREVIOUS);
+        }
+        let has_shape = is_transform || shape != Self::default_shape(self.regime);
+        let wire = Wire {
             flags: (u8::from(self.truncated) * TRUNCATED)
                 | (u8::from(self.last) * LAST)
-                | ((self.regime as u8) << REGIME_SHIFT),
-            mode: self.mode as u8,
+                | ((self.regime as u8) << REGIME_SHIFT)
+                | (u8::from(is_part) * PART)
+                | (u8::from(has_counts) * COUNTS)
+                | (u8::from(has_shape) * SHAPE),
+            mode,
+            payload_bytes,
             sequence: self.sequence,
-            part: self.part,
             width: self.sensor.width,
             height: self.sensor.height,
             t0_us: self.t0_us,
             duration_us: self.duration_us,
             window_events: self.window_events,
+        };
+        let part = PartWire {
+            part: self.part,
             events: self.events,
-            pixels: self.pixels,
-            late: self.late,
-            filtered: self.filtered,
-            dropped: self.dropped,
-            saturated: self.saturated,
-            transform: self.transform as u8,
-            m: self.m,
-            grid: self.grid,
-            step_log2: self.quantiser.step_log2(),
+        };
+        let mut len = postcard::to_slice(&wire, out)?.len();
+        let mut put = |fields: &dyn Fn(&mut [u8]) -> postcard::Result<usize>| {
+            let rest = out.get_mut(len..).unwrap_or_default();
+            len += fields(rest)?;
+            Ok(())
+        };
+        if is_part {
+            put(&|out| Ok(postcard::to_slice(&part, out)?.len()))?;
         }
+        if is_transform {
+            put(&|out| Ok(postcard::to_slice(&self.pixels, out)?.len()))?;
+        }
+        if has_counts {
+            put(&|out| Ok(postcard::to_slice(&counts, out)?.len()))?;
+        }
+        if has_shape {
+            put(&|out| Ok(postcard::to_slice(&shape, out)?.len()))?;
+        }
+        if let Some(value) = value {
+            put(&|out| Ok(postcard::to_slice(&value, out)?.len()))?;
+        }
+        Ok(len)
     }
 
-    /// `None` where a field is out of its range.
-    fn from_wire(wire: &Wire) -> Option<Self> {
-        let sensor = Sensor::new(wire.width, wire.height)?;
-        let transform = Transform::from_code(wire.transform)?;
-        let header = Self {
-            truncated: wire.flags & TRUNCATED != 0,
-            last: wire.flags & LAST != 0,
-            regime: Regime::from_code(wire.flags >> REGIME_SHIFT)?,
-            mode: if wire.mode == Mode::Transform as u8 {
-                Mode::Transform
-            } else {
+    /// The header and the length of its payload; `None` where a field is out of its range, told in a
+    /// way that no encoder has, or bytes are left.
+    fn parse(fields: &[u8]) -> Option<(Self, u32)> {
+        fn take<'b, T: Deserialize<'b>>(bytes: &mut &'b [u8]) -> Option<T> {
+            let (fields, rest) = postcard::take_from_bytes(bytes).ok()?;
+            *bytes = rest;
+            Some(fields)
+        }
+        let rest = &mut &*fields;
+        let wire: Wire = take(rest)?;
+        let has = |flag: u8| wire.flags & flag != 0;
+        if wire.flags >> 7 != 0 || wire.mode >> 6 != 0 {
+            return None;
+        }
+        let regime = Regime::from_code(wire.flags >> REGIME_SHIFT & 3)?;
+        let coder = wire.mode & CODER;
+        let is_transform = coder == TRANSFORM;
+        let mut part = PartWire {
+            part: 0,
+            events: wire.window_events,
+        };
+        if has(PART) {
+            part = take(rest)?;
+            let is_whole = part.part == 0 && has(LAST) && part.events == wire.window_events;
+            if is_whole {
                 return None;
-            },
+            }
+        } else if !has(LAST) {
+            return None;
+        }
+        let pixels = if is_transform { take(rest)? } else { 0 };
+        let none = CountsWire {
+            late: 0,
+            filtered: 0,
+            dropped: 0,
+            saturated: 0,
+        };
+        let mut counts = none;
+        if has(COUNTS) {
+            counts = take(rest)?;
+            if counts.late | counts.filtered | counts.dropped | counts.saturated == 0 {
+                return None;
+            }
+        }
+        let mut shape = Self::default_shape(regime);
+        if has(SHAPE) {
+            let told = take(rest)?;
+            if !is_transform && told == shape {
+                return None;
+            }
+            shape = told;
+        } else if is_transform {
+            return None;
+        }
+        let chained = wire.mode & (KEY | PREVIOUS);
+        if coder != DENSE && chained != 0 {
+            return None;
+        }
+        let code = wire.mode & !(KEY | PREVIOUS);
+        let value = if has_value(code) {
+            Some(take(rest)?)
+        } else {
+            None
+        };
+        let mode = Mode::from_code(code, value.unwrap_or(0))?;
+        if !rest.is_empty() {
+            return None;
+        }
+        let sensor = Sensor::new(wire.width, wire.height)?;
+        let transform = Transform::from_code(shape.transform)?;
+        let header = Self {
+            truncated: has(TRUNCATED),
+            last: has(LAST),
+            regime,
+            mode,
+            is_key: coder != DENSE || chained & KEY != 0,
+            has_previous: chained & PREVIOUS != 0,
             sequence: wire.sequence,
-            part: wire.part,
+            part: part.part,
             sensor,
             t0_us: wire.t0_us,
             duration_us: wire.duration_us,
             window_events: wire.window_events,
-            events: wire.events,
-            pixels: wire.pixels,
-            late: wire.late,
-            filtered: wire.filtered,
-            dropped: wire.dropped,
-            saturated: wire.saturated,
+            events: part.events,
+            pixels,
+            late: counts.late,
+            filtered: counts.filtered,
+            dropped: counts.dropped,
+            saturated: counts.saturated,
             transform,
-            m: wire.m,
-            grid: wire.grid,
-            quantiser: Quantiser::new(wire.step_log2)?,
+            m: shape.m,
+            grid: shape.grid,
+            quantiser: Quantiser::new(shape.step_log2)?,
         };
         let grid_fits = usize::from(header.grid) <= GRID_MAX
             && header.grid > 0
@@ -233,8 +431,9 @@ impl Header {
         let counts_fit = header.window_events as usize <= EVENTS_MAX
             && header.events <= header.window_events
             && header.pixels <= header.events.min(sensor.pixels())
-            && (header.pixels > 0) == (header.events > 0);
-        (grid_fits && m_fits && counts_fit && header.duration_us > 0).then_some(header)
+            && (!is_transform || (header.pixels > 0) == (header.events > 0));
+        let fits = grid_fits && m_fits && counts_fit && header.duration_us > 0;
+        fits.then_some((header, wire.payload_bytes))
     }
 }
 
@@ -263,9 +462,9 @@ pub fn seal(
         .split_first_chunk_mut::<PREFIX_BYTES>()
         .ok_or(NoRoom)?;
     // FIELDS_BYTES_MAX fits: there is always room.
-    let fields = postcard::to_slice(&header.wire(payload_bytes as u32), fields)
-        .map_err(|_| NoRoom)?
-        .len();
+    let fields = header
+        .write(payload_bytes as u32, fields)
+        .map_err(|_| NoRoom)?;
     let length = PREFIX_BYTES + fields + 2;
     *prefix = [SYNC[0], SYNC[1], VERSION, length as u8];
     let (checked, after) = header_bytes
@@ -320,12 +519,9 @@ impl<'i> Frame<'i> {
         if CRC_16.checksum(fields).to_le_bytes() != *crc {
             return Err(FrameError::HeaderDamaged);
         }
-        let (wire, rest) = postcard::take_from_bytes::<Wire>(&fields[PREFIX_BYTES..])
-            .map_err(|_| FrameError::HeaderInvalid)?;
-        let header = Header::from_wire(&wire)
-            .filter(|_| rest.is_empty())
-            .ok_or(FrameError::HeaderInvalid)?;
-        let payload_bytes = wire.payload_bytes as usize;
+        let (header, payload_bytes) =
+            Header::parse(&fields[PREFIX_BYTES..]).ok_or(FrameError::HeaderInvalid)?;
+        let payload_bytes = payload_bytes as usize;
         // Before the sum below, which would overflow where usize has 32 bits.
         if payload_bytes > FRAME_BYTES_MAX - header_bytes - CRC_BYTES {
             return Err(FrameError::HeaderInvalid);
@@ -407,14 +603,22 @@ mod tests {
 
     #[test]
     fn the_longest_header_has_room() {
-        let wire = Wire {
-            payload_bytes: u32::MAX,
-            flags: u8::MAX,
-            mode: u8::MAX,
+        let header = Header {
+            truncated: true,
+            last: false,
+            regime: Regime::Dense,
+            mode: Mode::Hybrid(Hybrid {
+                coder: Coder::Dense,
+                fidelity: Fidelity::ToleranceUs(u32::MAX),
+            }),
+            is_key: true,
+            has_previous: true,
             sequence: u32::MAX,
             part: u32::MAX,
-            width: u16::MAX,
-            height: u16::MAX,
+            sensor: Sensor {
+                width: u16::MAX,
+                height: u16::MAX,
+            },
             t0_us: u64::MAX,
             duration_us: u32::MAX,
             window_events: u32::MAX,
@@ -424,13 +628,16 @@ mod tests {
             filtered: u32::MAX,
             dropped: u32::MAX,
             saturated: u32::MAX,
-            transform: u8::MAX,
+            transform: Transform::Dwt,
             m: u8::MAX,
             grid: u16::MAX,
-            step_log2: i8::MIN,
+            quantiser: Quantiser::DEFAULT,
         };
         let mut bytes = [0; 2 * HEADER_BYTES_MAX];
-        let fields = postcard::to_slice(&wire, &mut bytes).unwrap();
-        assert_eq!(fields.len(), FIELDS_BYTES_MAX);
+        // A transform's number of pixels takes no more than a tolerance.
+        for mode in [header.mode, Mode::Transform] {
+            let header = Header { mode, ..header };
+            assert!(header.write(u32::MAX, &mut bytes).unwrap() <= FIELDS_BYTES_MAX);
+        }
     }
 }

@@ -23,7 +23,7 @@ pub struct Pixel {
     /// OFF events.
     pub off: u32,
     /// Slot of its first event.
-    head: u32,
+    pub(crate) head: u32,
 }
 
 /// The walk over a window's pixels.
@@ -113,6 +113,16 @@ impl Group {
             off: (tally >> Head::BITS) as u32 - on,
             head,
         })
+    }
+
+    /// Position of the next pixel, which [`Self::next`] will give.
+    #[inline]
+    pub fn peek(&mut self, window: &mut Window<'_>) -> Option<(u16, u16)> {
+        if self.columns == 0 {
+            self.columns = self.next_segment_apart(window)?.get();
+        }
+        let column = self.columns.trailing_zeros() as u16;
+        Some((self.segment_x + column, self.segment_y))
     }
 
     /// Makes the pixel that [`Self::next`] gave last the next one again.

@@ -4,6 +4,7 @@
 //! events -> window -> density -> regime -> group -> accumulate -> prune -> quantise -> pack -> frame
 //! ```
 //!
+//! In mode `hybrid` the events themselves are coded ([`coder`]), in place of what follows the group.
 //! One stage, one file. Every buffer is lent by the caller or sits in [`Storage`]; nothing
 //! allocates, nothing uses floating point on the way from an event to a frame, and the same code
 //! gives the same bits on a microcontroller and on a host. Feature `defmt` derives `defmt::Format`
@@ -21,6 +22,7 @@ pub mod density;
 pub mod descriptor;
 pub mod encoder;
 pub mod event;
+mod event_encoder;
 pub mod event_link;
 pub mod evt2;
 #[cfg(eecvs_dsp)]
@@ -43,12 +45,15 @@ pub mod prune;
 pub mod quantise;
 pub mod regime;
 pub mod sensor_source;
+mod sort;
 pub mod storage;
 pub mod trace;
 pub mod transform;
 pub mod unpack;
 pub mod window;
 
+pub use coder::chain::KEY_WINDOWS;
+pub use coder::{Cells, Coder, Fidelity, Hybrid};
 pub use density::Density;
 pub use descriptor::{Coded, Descriptor};
 pub use encoder::{

@@ -326,6 +326,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             sums,
             totals,
             magnitudes,
+            ..
         } = &mut *self.scratch;
         let grid = self.shape.grid;
         let values = B::values(grid);

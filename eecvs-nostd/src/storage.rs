@@ -1,5 +1,6 @@
 //! Static memory of an encoder.
 
+use crate::coder::dense::DenseMemory;
 use crate::encoder::{Config, Encoder, Scratch, SetupError};
 use crate::fixed_point::{Sum, WideSum};
 use crate::window::{Head, Slot, WindowBuffers};
@@ -45,6 +46,18 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
     /// # Errors
     /// [`SetupError`].
     pub fn encoder(&mut self, config: Config) -> Result<Encoder<'_>, SetupError> {
+        self.encoder_with(config, None)
+    }
+
+    /// As [`Self::encoder`], with memory for the dense coder of hybrid frames.
+    ///
+    /// # Errors
+    /// [`SetupError`].
+    pub fn encoder_with<'b>(
+        &'b mut self,
+        config: Config,
+        dense: Option<DenseMemory<'b>>,
+    ) -> Result<Encoder<'b>, SetupError> {
         self.heads.fill(0);
         self.bitmap.fill(0);
         let buffers = WindowBuffers {
@@ -56,6 +69,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             sums: &mut self.sums,
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
+            dense,
         };
         Encoder::set_up(config, buffers, scratch)
     }
@@ -74,7 +88,9 @@ mod tests {
     use super::*;
     use crate::encoder::{ConfigError, WindowEncoder};
     use crate::window::Window;
-    use crate::{Quantiser, Sensor, Thresholds, WindowConfig, bitmap_words, segments};
+    use crate::{
+        KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, WindowConfig, bitmap_words, segments,
+    };
 
     const SEGMENTS: usize = segments(40, 3);
     const BITMAP: usize = bitmap_words(SEGMENTS);
@@ -95,6 +111,8 @@ mod tests {
         m: 16,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode: Mode::Transform,
+        key_windows: KEY_WINDOWS,
     };
 
     /// Anything but zeros would move the buffers from .bss to .data, into flash.
@@ -130,6 +148,7 @@ mod tests {
             sums: &mut sums,
             totals: &mut totals,
             magnitudes: &mut magnitudes,
+            dense: None,
         };
         match (
             Window::new(CONFIG.window, buffers),

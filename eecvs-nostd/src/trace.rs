@@ -15,7 +15,7 @@ pub enum Stage {
     Prune = 3,
     /// Kept coefficients to levels.
     Quantise = 4,
-    /// A pixel's descriptor to bits.
+    /// A pixel's descriptor, or its events, to bits.
     Pack = 5,
     /// Header and checksums.
     Frame = 6,

@@ -60,6 +60,10 @@ impl Slot {
         self.link >> NEXT_SHIFT
     }
 
+    pub(crate) const fn with_offset_us(self, offset_us: u32) -> Self {
+        Self { offset_us, ..self }
+    }
+
     pub(crate) const fn with_next(self, next: u32) -> Self {
         Self::new(self.offset_us, next, self.link)
     }
@@ -601,6 +605,12 @@ impl<'b> Window<'b> {
     /// The buffered events.
     #[inline]
     pub(crate) const fn slots(&mut self) -> &mut [Slot] {
+        self.slots
+    }
+
+    /// The same to look at.
+    #[inline]
+    pub(crate) const fn slots_now(&self) -> &[Slot] {
         self.slots
     }
 

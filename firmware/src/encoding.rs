@@ -4,8 +4,8 @@ use eecvs_nostd::event_link::{Kind, Packet, Setup, Status};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Work};
 use eecvs_nostd::{
-    Config, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers, WindowConfig,
-    WindowEncoder,
+    Config, KEY_WINDOWS, Mode, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers,
+    WindowConfig, WindowEncoder,
 };
 
 use static_cell::ConstStaticCell;
@@ -38,6 +38,8 @@ const IDLE: Config = Config {
     m: 1,
     grid: None,
     quantiser: Quantiser::DEFAULT,
+    mode: Mode::Transform,
+    key_windows: KEY_WINDOWS,
 };
 
 /// Ticks, summed up beyond 32 bits.
@@ -84,6 +86,7 @@ impl Encoding {
             sums: SUMS.try_take()?,
             totals: TOTALS.try_take()?,
             magnitudes: MAGNITUDES.try_take()?,
+            dense: None,
         };
         Some(Self {
             sender,

@@ -33,8 +33,9 @@ use crate::clock::Stopwatch;
 /// Words between the transfer's interrupt and PendSV.
 const QUEUE_WORDS: usize = 512;
 
-/// 320 x 320 pixels, windows of 32,768 us, M = 16, the DCT for every window: calibrated thresholds
-/// go here. A sensor cannot be held, so what finds no free window is dropped and counted.
+/// 320 x 320 pixels, windows of 32,768 us, the events lossless in the fast coder (`Mode` of the core;
+/// with 0 in place of 1 the coefficients: M = 16, the DCT for every window, and calibrated thresholds
+/// would go here). A sensor cannot be held, so what finds no free window is dropped and counted.
 pub const SETUP: Setup = Setup {
     width: 320,
     height: 320,
@@ -45,6 +46,9 @@ pub const SETUP: Setup = Setup {
     m: 16,
     grid: 0,
     step_log2: -6,
+    mode: 1,
+    fidelity: 0,
+    key_windows: 1,
     time_base_us: 0,
     when_full: Setup::DROP,
 };

@@ -3,13 +3,40 @@
 #![no_main]
 
 use eecvs_nostd::{
-    Config, Event, Frame, Polarity, Push, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+    Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Push, Quantiser, Sensor,
+    Thresholds, Transform, WindowConfig,
 };
 use host_harness::encode::HostStorage;
+use host_harness::reconstruct::hybrid::HybridDecoder;
 use libfuzzer_sys::fuzz_target;
 
+fn to_mode(mode: u8, fidelity: u8) -> Mode {
+    let coder = match mode % 3 {
+        0 => return Mode::Transform,
+        1 => Coder::Fast,
+        _ => Coder::Dense,
+    };
+    let fidelity = match fidelity % 3 {
+        0 => Fidelity::Lossless,
+        1 => Fidelity::ToleranceUs(u32::from(fidelity)),
+        _ => Fidelity::Bins(1 + u16::from(fidelity)),
+    };
+    Mode::Hybrid(Hybrid { coder, fidelity })
+}
+
 fuzz_target!(|data: &[u8]| {
-    let [m, grid, transform, step, window, capacity, words @ ..] = data else {
+    let [
+        m,
+        grid,
+        transform,
+        step,
+        window,
+        capacity,
+        mode,
+        fidelity,
+        words @ ..,
+    ] = data
+    else {
         return;
     };
     let sensor = Sensor {
@@ -26,19 +53,28 @@ fuzz_target!(|data: &[u8]| {
         m: 1 + *m % 64,
         grid: (*grid > 0).then_some(u16::from(*grid)),
         quantiser: Quantiser::new((*step % 24) as i8 - 15).expect("-15 to 8"),
+        mode: to_mode(*mode, *fidelity),
+        key_windows: 1 + u16::from(*mode >> 4),
     };
     let mut storage = HostStorage::new(sensor, 1 + usize::from(*capacity));
     let mut encoder = storage.encoder(config).expect("a valid configuration");
     let mut out = vec![0; eecvs_nostd::OUTPUT_BYTES_MIN];
     let mut accounted = 0;
+    let mut decoder = HybridDecoder::default();
     let mut frames = |encoder: &mut eecvs_nostd::Encoder<'_>| {
         while let Some(encoded) = encoder.next_frame(&mut out).expect("room for a frame") {
             let frame = Frame::parse(&out[encoded.range]).expect("a whole frame");
-            let mut events = 0;
-            for descriptor in frame.descriptors() {
-                events += descriptor.expect("the encoder's own payload").events();
-            }
             let header = frame.header;
+            let events = match header.mode {
+                Mode::Transform => frame
+                    .descriptors()
+                    .map(|descriptor| descriptor.expect("the encoder's own payload").events())
+                    .sum::<u32>(),
+                Mode::Hybrid(hybrid) => {
+                    let found = decoder.frame(&frame, hybrid);
+                    found.expect("the encoder's own payload").len() as u32
+                }
+            };
             assert_eq!(events, header.events);
             accounted += events + header.late + header.filtered + header.dropped;
         }

@@ -9,8 +9,8 @@ use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
 use eecvs_nostd::{
-    Config, Frame, OUTPUT_BYTES_MIN, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers,
-    WindowConfig, WindowEncoder,
+    Config, Frame, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser, Scratch, Sensor, Thresholds,
+    Window, WindowBuffers, WindowConfig, WindowEncoder,
 };
 use libfuzzer_sys::fuzz_target;
 
@@ -108,6 +108,7 @@ fuzz_target!(|data: &[u8]| {
         sums: &mut sums,
         totals: &mut totals,
         magnitudes: &mut magnitudes,
+        dense: None,
     };
     let config = Config {
         window: CONFIG,
@@ -116,6 +117,8 @@ fuzz_target!(|data: &[u8]| {
         m: 8,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode: Mode::Transform,
+        key_windows: KEY_WINDOWS,
     };
     let mut machine = Machine {
         link: Link::new(),
@@ -148,6 +151,9 @@ fuzz_target!(|data: &[u8]| {
                 m: 8,
                 grid: 0,
                 step_log2: 0,
+                mode: 0,
+                fidelity: 0,
+                key_windows: 1,
                 time_base_us: 0,
                 when_full: operation / 8 % 2,
             }

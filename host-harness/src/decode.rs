@@ -4,12 +4,13 @@ use std::io::Read;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use eecvs_nostd::Sensor;
+use eecvs_nostd::{Mode, Sensor};
 use serde::Serialize;
 
 use crate::formats::EventWriter;
 use crate::frame_file::{FrameReader, LinkReport};
 use crate::reconstruct::events::EventDecoder;
+use crate::reconstruct::hybrid::{HybridDecoder, Refused};
 use crate::reconstruct::{DecodedWindow, pixels};
 
 /// Reads the windows of a stream of frames, one at a time.
@@ -19,6 +20,9 @@ pub struct WindowReader<R> {
     /// Events of `pending`.
     pending_events: u32,
     counts: FrameCounts,
+    hybrid: HybridDecoder,
+    /// Time spent on payloads.
+    busy: Duration,
 }
 
 /// What the frames say of events that are in no window.
@@ -34,7 +38,7 @@ pub struct FrameCounts {
 
 impl<R: Read> WindowReader<R> {
     /// Windows of `frames`.
-    pub const fn new(frames: FrameReader<R>) -> Self {
+    pub fn new(frames: FrameReader<R>) -> Self {
         Self {
             frames,
             pending: None,
@@ -44,6 +48,8 @@ impl<R: Read> WindowReader<R> {
                 events_filtered: 0,
                 events_dropped: 0,
             },
+            hybrid: HybridDecoder::default(),
+            busy: Duration::ZERO,
         }
     }
 
@@ -67,9 +73,24 @@ impl<R: Read> WindowReader<R> {
                 return Ok(self.pending.take());
             };
             let header = located.frame.header;
-            let Ok(pixels) = pixels(&located.frame) else {
-                self.frames.count_malformed();
-                continue;
+            let started = Instant::now();
+            let decoded = match header.mode {
+                Mode::Transform => match pixels(&located.frame) {
+                    Ok(pixels) => Ok((pixels, vec![])),
+                    Err(_) => Err(Refused::Malformed),
+                },
+                Mode::Hybrid(hybrid) => {
+                    let events = self.hybrid.frame(&located.frame, hybrid);
+                    events.map(|events| (vec![], events))
+                }
+            };
+            self.busy += started.elapsed();
+            let (pixels, events) = match decoded {
+                Ok(decoded) => decoded,
+                Err(refused) => {
+                    self.frames.count_refused(refused);
+                    continue;
+                }
             };
             self.counts.events_late += u64::from(header.late);
             self.counts.events_filtered += u64::from(header.filtered);
@@ -82,10 +103,15 @@ impl<R: Read> WindowReader<R> {
                 {
                     self.pending_events += header.events;
                     window.pixels.extend(pixels);
+                    window.events.extend(events);
                 }
                 _ => {
                     self.pending_events = header.events;
-                    let window = (header.events > 0).then_some(DecodedWindow { header, pixels });
+                    let window = (header.events > 0).then_some(DecodedWindow {
+                        header,
+                        pixels,
+                        events,
+                    });
                     let before = std::mem::replace(&mut self.pending, window);
                     if before.is_some() {
                         return Ok(before);
@@ -157,6 +183,7 @@ pub fn decode<R: Read>(
     if let Some(output) = writer.flatten() {
         output.finish()?;
     }
+    decoding += windows.busy;
     summary.counts = windows.counts();
     summary.link = windows.report().clone();
     summary.decode_s = decoding.as_secs_f64();

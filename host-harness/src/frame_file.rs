@@ -9,6 +9,8 @@ use eecvs_nostd::frame::{CRC_BYTES, SYNC};
 use eecvs_nostd::{FRAME_BYTES_MAX, Frame, FrameError, Header, Order, Scan, Sequence, scan};
 use serde::Serialize;
 
+use crate::reconstruct::hybrid::Refused;
+
 /// Bytes asked of the source at a time.
 const READ_BYTES: usize = 1 << 16;
 /// Frames that are remembered: as many as [`Sequence`] does.
@@ -36,6 +38,8 @@ pub struct LinkReport {
     pub restarts: u64,
     /// Frames whose checksums match but whose payload contradicts its header.
     pub frames_malformed: u64,
+    /// Undamaged frames that go on from one that did not come, up to the next key frame.
+    pub frames_dependent: u64,
 }
 
 impl LinkReport {
@@ -67,6 +71,7 @@ impl LinkReport {
             (self.frames_repeated, "repeated"),
             (self.frames_reordered, "out of order"),
             (self.frames_malformed, "malformed"),
+            (self.frames_dependent, "without those they go on from"),
         ] {
             if frames > 0 {
                 met.push(format!("frames {what}: {frames}"));
@@ -155,8 +160,11 @@ impl<R: Read> FrameReader<R> {
     }
 
     /// Counts a frame whose payload does not decode.
-    pub const fn count_malformed(&mut self) {
-        self.report.frames_malformed += 1;
+    pub const fn count_refused(&mut self, refused: Refused) {
+        match refused {
+            Refused::Malformed => self.report.frames_malformed += 1,
+            Refused::Dependent => self.report.frames_dependent += 1,
+        }
     }
 
     /// The next frame, or `None` at the end of the source.

@@ -13,7 +13,9 @@ use std::time::Duration;
 use anyhow::Result;
 use cli_support::{Folder, count, number, text};
 use eecvs_nostd::event_link::{Kind, Setup, Status};
-use eecvs_nostd::{Config, Event, Quantiser, Sensor, Thresholds, Transform, WindowConfig};
+use eecvs_nostd::{
+    Config, Event, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+};
 use host_harness::formats::EventReader;
 use host_harness::mcu::image::{self, ImageSizes};
 use host_harness::mcu::link::{EventPackets, Message};
@@ -44,6 +46,8 @@ fn config() -> Config {
         m: 8,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode: Mode::Transform,
+        key_windows: KEY_WINDOWS,
     }
 }
 

@@ -5,7 +5,10 @@ use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
-use eecvs_nostd::{Config, Encoder, Push, Quantiser, Sensor, Thresholds, Transform, WindowConfig};
+use eecvs_nostd::{
+    Config, Encoder, KEY_WINDOWS, Mode, Push, Quantiser, Sensor, Thresholds, Transform,
+    WindowConfig,
+};
 use host_harness::bench::cut::EVENTS;
 use host_harness::encode::HostStorage;
 
@@ -43,6 +46,8 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
         m: run.m,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode: Mode::Transform,
+        key_windows: KEY_WINDOWS,
     })?;
     let mut output = Output::default();
     let mut decoder = Evt2Decoder::new(0);

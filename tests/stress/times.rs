@@ -219,6 +219,7 @@ fn decoded_times_are_exact_in_any_epoch() {
             let window = DecodedWindow {
                 header: frame.header,
                 pixels: pixels(&frame).expect("the encoder's own payload"),
+                events: vec![],
             };
             let header = frame.header;
             let decoder = EventDecoder::new(transform, header.grid, header.m);

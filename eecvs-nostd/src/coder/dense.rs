@@ -43,7 +43,17 @@ pub const EVENT_BYTES_MAX: usize = 64;
 /// Events of a neighbour looked at for one of the same polarity.
 const LOOK_AHEAD: usize = 4;
 
-/// Rows kept where the window before is not: this one and two above, and one to be exact in turns.
+/// Rows of bits that are kept: all with those of the window before, and without them this one, two
+/// above, and one more, so that a row's place is cheap to find.
+const fn rows(sensor: Sensor, has_previous: bool) -> usize {
+    let height = sensor.height as usize;
+    if has_previous || height < RING_ROWS {
+        height
+    } else {
+        RING_ROWS
+    }
+}
+
 const RING_ROWS: usize = 4;
 
 /// Memory lent to a [`Dense`] coder.
@@ -55,16 +65,26 @@ pub struct DenseMemory<'b> {
     pub words: &'b mut [u32],
 }
 
+impl DenseMemory<'_> {
+    /// Whether it is enough for a sensor.
+    #[must_use]
+    pub const fn serves(&self, sensor: Sensor) -> bool {
+        self.probabilities.len() >= PROBABILITIES && self.words.len() >= words(sensor, false)
+    }
+
+    /// Whether it also holds the window before.
+    #[must_use]
+    pub const fn has_previous(&self, sensor: Sensor) -> bool {
+        self.words.len() >= words(sensor, true)
+    }
+}
+
 /// Words that a sensor takes; without the window before, which costs bits in sparse scenes, far
 /// fewer.
 #[must_use]
 pub const fn words(sensor: Sensor, has_previous: bool) -> usize {
     let stride = sensor.width.div_ceil(32) as usize;
-    let rows = if has_previous {
-        sensor.height as usize
-    } else {
-        RING_ROWS
-    };
+    let rows = rows(sensor, has_previous);
     2 * stride * rows + 2 * stride + sensor.width as usize
 }
 
@@ -94,30 +114,37 @@ pub struct Dense<'b> {
     lists: &'b mut [u32],
     sensor: Sensor,
     stride: usize,
-    rows: usize,
     has_previous: bool,
 }
 
 impl<'b> Dense<'b> {
-    /// A coder for a sensor, at its start; `None` where the memory is too small.
+    /// The coder in a memory that was last used for the same sensor, or of which nothing is known:
+    /// then [`Self::restart`] comes first. `None` where it is too small.
     #[must_use]
-    pub fn new(sensor: Sensor, has_previous: bool, memory: DenseMemory<'b>) -> Option<Self> {
+    pub fn new(sensor: Sensor, memory: &'b mut DenseMemory<'_>) -> Option<Self> {
+        let has_previous = memory.has_previous(sensor);
+        Self::with_previous(sensor, has_previous, memory)
+    }
+
+    /// As [`Self::new`], for a decoder, which is told whether the encoder held the window before.
+    #[must_use]
+    pub fn with_previous(
+        sensor: Sensor,
+        has_previous: bool,
+        memory: &'b mut DenseMemory<'_>,
+    ) -> Option<Self> {
         let DenseMemory {
             probabilities,
             words,
         } = memory;
         let (probabilities, _) = probabilities.split_first_chunk_mut()?;
         let stride = usize::from(sensor.width.div_ceil(32));
-        let rows = if has_previous {
-            usize::from(sensor.height)
-        } else {
-            RING_ROWS
-        };
+        let rows = rows(sensor, has_previous);
         let (occupied, rest) = words.split_at_mut_checked(stride * rows)?;
         let (last_on, rest) = rest.split_at_mut_checked(stride * rows)?;
         let (first_on, rest) = rest.split_at_mut_checked(2 * stride)?;
         let (lists, _) = rest.split_at_mut_checked(usize::from(sensor.width))?;
-        let mut dense = Self {
+        Some(Self {
             probabilities,
             occupied,
             last_on,
@@ -125,11 +152,8 @@ impl<'b> Dense<'b> {
             lists,
             sensor,
             stride,
-            rows,
             has_previous,
-        };
-        dense.restart();
-        Some(dense)
+        })
     }
 
     /// Forgets everything: the next frame decodes by itself.
@@ -167,11 +191,14 @@ impl<'b> Dense<'b> {
             }
             let row = self.row(y);
             let was_active = self.has_previous
-                && self.occupied[row..][..self.stride]
+                && words_at(self.occupied, row, self.stride)
                     .iter()
                     .any(|word| *word != 0);
             let context = ROW + usize::from(above_is_active) + 2 * usize::from(was_active);
-            let is_active = coder.bit(&mut self.probabilities[context], content.has_row(y as u16));
+            let is_active = coder.bit(
+                learned_at(self.probabilities, context),
+                content.has_row(y as u16),
+            );
             above_is_active = is_active;
             if is_active {
                 if !self.code_row(coder, content, y, &mut pixels) {
@@ -179,13 +206,13 @@ impl<'b> Dense<'b> {
                     break;
                 }
             } else if was_active || !self.has_previous {
-                self.occupied[row..][..self.stride].fill(0);
+                words_at(self.occupied, row, self.stride).fill(0);
             }
             y += 1;
         }
         // What is below has no events in this frame.
         if self.has_previous {
-            self.occupied[(y * self.stride).min(self.stride * self.rows)..].fill(0);
+            words_at(self.occupied, y * self.stride, usize::MAX).fill(0);
         }
         pixels.coded
     }
@@ -197,6 +224,11 @@ impl<'b> Dense<'b> {
         } else {
             (y % RING_ROWS) * self.stride
         }
+    }
+
+    #[inline(always)]
+    fn list(&self, x: usize) -> u32 {
+        self.lists.get(x).copied().unwrap_or(END)
     }
 
     /// Whether there may be more after this row.
@@ -219,13 +251,13 @@ impl<'b> Dense<'b> {
         let mut goes_on = true;
         while segment < stride {
             let word = |of: &[u32], row: Option<usize>, at: usize| match row {
-                Some(row) if at < stride => of[row + at],
+                Some(row) if at < stride => of.get(row + at).copied().unwrap_or(0),
                 _ => 0,
             };
             let occupied = &*self.occupied;
             let before = segment.wrapping_sub(1);
             let old = if self.has_previous {
-                occupied[row + segment]
+                word(occupied, Some(row), segment)
             } else {
                 0
             };
@@ -248,7 +280,7 @@ impl<'b> Dense<'b> {
                     word(occupied, south, segment),
                     word(occupied, south, segment + 1),
                 ],
-                old_last_on: self.last_on[row + segment],
+                old_last_on: word(self.last_on, Some(row), segment),
                 first_west: word(self.first_on, Some(first_here), before),
                 first_north: [
                     word(self.first_on, Some(first_north), before),
@@ -256,22 +288,22 @@ impl<'b> Dense<'b> {
                     word(self.first_on, Some(first_north), segment + 1),
                 ],
             };
-            let flag = &mut self.probabilities[SEGMENT + around.segment_context()];
+            let flag = learned_at(self.probabilities, SEGMENT + around.segment_context());
             let mut made = Made::default();
             if coder.bit(flag, content.has_segment(segment as u16)) {
                 goes_on =
                     self.code_segment(coder, content, (segment, y), &around, &mut made, pixels);
             }
-            self.occupied[row + segment] = made.occupied;
-            self.last_on[row + segment] = made.last_on;
-            self.first_on[first_here + segment] = made.first_on;
+            set(self.occupied, row + segment, made.occupied);
+            set(self.last_on, row + segment, made.last_on);
+            set(self.first_on, first_here + segment, made.first_on);
             segment += 1;
             if !goes_on || content.is_over() {
                 goes_on = false;
                 break;
             }
         }
-        self.occupied[row + segment..row + stride].fill(0);
+        words_at(self.occupied, row + segment, stride - segment).fill(0);
         goes_on
     }
 
@@ -289,7 +321,7 @@ impl<'b> Dense<'b> {
         let wide = around.widen();
         let columns = (usize::from(self.sensor.width) - 32 * segment).min(32);
         let mut west_list = if around.west >> 31 == 1 && segment > 0 {
-            self.lists[32 * segment - 1]
+            self.list(32 * segment - 1)
         } else {
             END
         };
@@ -298,7 +330,7 @@ impl<'b> Dense<'b> {
             let here = (u64::from(made.occupied) << 2 | u64::from(around.west >> 30)) >> i;
             let context = PIXEL + wide.pixel_context(i, here as usize & 3);
             if !coder.bit(
-                &mut self.probabilities[context],
+                learned_at(self.probabilities, context),
                 content.has_column(i as u16),
             ) {
                 west_list = END;
@@ -307,7 +339,7 @@ impl<'b> Dense<'b> {
             let x = 32 * segment + i;
             let list = content.enter((x as u16, y as u16));
             let north_list = if around.north[1] >> i & 1 == 1 {
-                self.lists[x]
+                self.list(x)
             } else {
                 END
             };
@@ -325,7 +357,7 @@ impl<'b> Dense<'b> {
                 state.code(learned, coder, content, polarity, (west_list, north_list));
             pixels.coded.pixels += 1;
             pixels.coded.events += events;
-            self.lists[x] = list;
+            set(self.lists, x, list);
             west_list = list;
             made.occupied |= 1 << i;
             made.first_on |= u32::from(first_on) << i;
@@ -336,6 +368,21 @@ impl<'b> Dense<'b> {
         }
         true
     }
+}
+
+#[inline(always)]
+fn set(words: &mut [u32], at: usize, word: u32) {
+    if let Some(place) = words.get_mut(at) {
+        *place = word;
+    }
+}
+
+/// Up to `count` words from `at` on.
+#[inline(always)]
+fn words_at(words: &mut [u32], at: usize, count: usize) -> &mut [u32] {
+    let rest = words.get_mut(at..).unwrap_or_default();
+    let count = rest.len().min(count);
+    rest.get_mut(..count).unwrap_or_default()
 }
 
 /// What a segment was made of.
@@ -458,6 +505,12 @@ const fn length_of(value: u32) -> u32 {
 
 type Learned = [Probability; PROBABILITIES];
 
+/// Contexts are sums of bounded parts; the bound here is for the compiler.
+#[inline(always)]
+fn learned_at(learned: &mut Learned, context: usize) -> &mut Probability {
+    &mut learned[context.min(PROBABILITIES - 1)]
+}
+
 impl PixelState {
     /// A pixel: the polarities of its first and last event, how many it has, and whether the frame
     /// goes on after it.
@@ -471,7 +524,7 @@ impl PixelState {
         (mut west, mut north): (u32, u32),
     ) -> (bool, bool, u32, bool) {
         let (cell, on) = content.peek();
-        let first_on = coder.bit(&mut learned[polarity], on);
+        let first_on = coder.bit(learned_at(learned, polarity), on);
         let like = |list: u32, content: &T| {
             content
                 .at(list)
@@ -502,7 +555,7 @@ impl PixelState {
             let turn = (events as usize - 1).min(2);
             let of_length = usize::from(OF_LENGTH_MORE[length as usize & 15]);
             let context = ((turn * 8 + later.eighth) * 6 + of_length) * 4 + next;
-            let flag = &mut learned[MORE + 2 * context + usize::from(on)];
+            let flag = learned_at(learned, MORE + 2 * context + usize::from(on));
             if !coder.bit(flag, content.is_more()) {
                 break;
             }
@@ -511,7 +564,7 @@ impl PixelState {
                 .or(north_next)
                 .map_or(0, |(_, on)| 1 + usize::from(on));
             let context = (self.last_length as usize * 2 + usize::from(on)) * 3 + before;
-            let flag = &mut learned[FLIP + 3 * context + near_on];
+            let flag = learned_at(learned, FLIP + 3 * context + near_on);
             let next_on = coder.bit(flag, next_on);
             let flips = next_on != on;
             before = usize::from(on);
@@ -550,7 +603,10 @@ impl PixelState {
         let low = self.time_bits - high;
         let mut node = 1_usize;
         for i in (0..high).rev() {
-            let bit = coder.bit(&mut learned[FIRST + node % 64], cell >> (low + i) & 1 == 1);
+            let bit = coder.bit(
+                learned_at(learned, FIRST + node % 64),
+                cell >> (low + i) & 1 == 1,
+            );
             node = 2 * node + usize::from(bit);
         }
         let top = node as u32 - (1 << high);
@@ -585,10 +641,10 @@ impl PixelState {
         length: u32,
         (rest, near, flips): (usize, u32, bool),
     ) -> u32 {
-        if self.time_bits > 15 && coder.bit(&mut learned[LONG], length > 15) {
+        if self.time_bits > 15 && coder.bit(learned_at(learned, LONG), length > 15) {
             let mut node = 1_usize;
             for i in (0..5).rev() {
-                let bit = coder.bit(&mut learned[LONGER + node], length >> i & 1 == 1);
+                let bit = coder.bit(learned_at(learned, LONGER + node), length >> i & 1 == 1);
                 node = 2 * node + usize::from(bit);
             }
             // 16 to 32 as 16 to 31 and 0.
@@ -608,11 +664,14 @@ impl PixelState {
         for i in (0..4).rev() {
             let bit = length >> i & 1 == 1;
             let (low, high) = learned.split_at_mut(LENGTH_NEAR);
-            let bit = coder.bit_of_two(
-                &mut low[one + node],
-                &mut high[two - LENGTH_NEAR + node],
-                bit,
-            );
+            let (Some(a), Some(b)) = (
+                low.get_mut(one + node),
+                high.get_mut(two - LENGTH_NEAR + node),
+            ) else {
+                // Both are in their tables.
+                break;
+            };
+            let bit = coder.bit_of_two(a, b, bit);
             node = 2 * node + usize::from(bit);
         }
         node as u32 & 15
@@ -670,7 +729,10 @@ fn prefix<C: Binary>(
     let mut left = bits;
     let mut code = |context: usize, left: &mut u32| {
         *left -= 1;
-        let bit = coder.bit(&mut learned[contexts + context], value >> *left & 1 == 1);
+        let bit = coder.bit(
+            learned_at(learned, contexts + context),
+            value >> *left & 1 == 1,
+        );
         made = made << 1 | u32::from(bit);
         bit
     };
@@ -839,12 +901,11 @@ mod tests {
             let words = words(sensor, has_previous);
             Self(vec![Probability::EVEN; PROBABILITIES], vec![7; words])
         }
-        fn coder(&mut self, sensor: Sensor, has_previous: bool) -> Dense<'_> {
-            let memory = DenseMemory {
+        fn lent(&mut self) -> DenseMemory<'_> {
+            DenseMemory {
                 probabilities: &mut self.0,
                 words: &mut self.1,
-            };
-            Dense::new(sensor, has_previous, memory).unwrap()
+            }
         }
     }
 
@@ -915,8 +976,13 @@ mod tests {
         ) {
             let sensor = Sensor::new(width, height).unwrap();
             let mut memory = (Memory::new(sensor, has_previous), Memory::new(sensor, has_previous));
-            let mut encoder = memory.0.coder(sensor, has_previous);
-            let mut decoder = memory.1.coder(sensor, has_previous);
+            let (mut encoder, mut decoder) = (memory.0.lent(), memory.1.lent());
+            // What is enough for a few rows is enough for both windows.
+            let has_previous = encoder.has_previous(sensor);
+            let mut encoder = Dense::new(sensor, &mut encoder).unwrap();
+            let mut decoder = Dense::with_previous(sensor, has_previous, &mut decoder).unwrap();
+            encoder.restart();
+            decoder.restart();
             for window in windows {
                 there_and_back((&mut encoder, &mut decoder), &pixels(&window), cells, out_bytes);
             }
@@ -930,7 +996,9 @@ mod tests {
         ) {
             let sensor = Sensor::new(width, height).unwrap();
             let mut memory = Memory::new(sensor, has_previous);
-            let mut decoder = memory.coder(sensor, has_previous);
+            let mut lent = memory.lent();
+            let mut decoder = Dense::with_previous(sensor, has_previous, &mut lent).unwrap();
+            decoder.restart();
             let mut reader = RangeDecoder::new(&bytes);
             let mut read = Listed::new(vec![], left);
             let coded = decoder.code(&mut reader, &mut read, cells);

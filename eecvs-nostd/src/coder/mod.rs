@@ -1,7 +1,35 @@
 //! The events themselves in few bits: what `hybrid` frames hold.
+//!
+//! ```text
+//! group -> cells -> fast or dense -> frame
+//! ```
 
 pub mod cells;
+pub mod chain;
 pub mod content;
 pub mod dense;
 pub mod fast;
 pub mod range;
+
+pub use cells::{Cells, Fidelity};
+
+/// How events become bits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Coder {
+    /// Golomb-like codes that adapt: [`fast`].
+    #[default]
+    Fast,
+    /// A range coder with learned contexts: [`dense`].
+    Dense,
+}
+
+/// Mode `hybrid`: the events, as exactly as is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Hybrid {
+    /// How they become bits.
+    pub coder: Coder,
+    /// How exactly their times are told.
+    pub fidelity: Fidelity,
+}

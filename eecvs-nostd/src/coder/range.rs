@@ -20,6 +20,9 @@ const COUNT_BITS: u32 = 3;
 const RATES: [u16; 1 << COUNT_BITS] = [32768, 21845, 16384, 10923, 8192, 5461, 3641, 1311];
 
 impl Probability {
+    /// All zero, for memory in `.bss`; to be set before use.
+    pub const UNSET: Self = Self(0);
+
     /// A half, from no decisions.
     pub const EVEN: Self = Self(((ONE / 2) as u16) << COUNT_BITS);
 

@@ -11,10 +11,14 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use critical_section::Mutex;
 use eecvs_firmware as _;
+use eecvs_nostd::coder::dense::DenseMemory;
+#[cfg(not(feature = "microbit"))]
+use eecvs_nostd::coder::{dense::PROBABILITIES, range::Probability};
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{
-    Config, Encoder, Event, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Sensor, Stage, Storage,
-    Thresholds, Trace, Transform, WindowConfig, bitmap_words, segments,
+    Coder, Config, Encoder, Event, Fidelity, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Polarity,
+    Push, Quantiser, Sensor, Stage, Storage, Thresholds, Trace, Transform, WindowConfig,
+    bitmap_words, segments,
 };
 
 /// A golden vector: `tests/golden.rs` describes it.
@@ -23,6 +27,9 @@ struct Golden {
     height: u16,
     transform: &'static str,
     m: u8,
+    /// As in a setup.
+    mode: u8,
+    fidelity: u32,
     /// (t_us, x, y, p)
     events: &'static [(u64, u16, u16, u8)],
     frames: &'static [&'static [u8]],
@@ -35,6 +42,15 @@ const WIDE: (u16, u16) = (2048, 8);
 const SEGMENTS: usize = segments(WIDE.0, WIDE.1);
 type Small = Storage<400, SEGMENTS, { bitmap_words(SEGMENTS) }, 64>;
 
+/// Enough for the vectors' sensor, with the window before.
+#[cfg(not(feature = "microbit"))]
+type Dense = ([Probability; PROBABILITIES], [u32; 128]);
+#[cfg(not(feature = "microbit"))]
+static DENSE: Mutex<RefCell<Dense>> = Mutex::new(RefCell::new((
+    [Probability::UNSET; PROBABILITIES],
+    [0; 128],
+)));
+
 static STORAGE: Mutex<RefCell<Small>> = Mutex::new(RefCell::new(Small::new()));
 
 #[entry]
@@ -42,8 +58,25 @@ fn main() -> ! {
     let passed = critical_section::with(|token| {
         let mut storage = STORAGE.borrow_ref_mut(token);
         let mut failed = 0;
+        #[cfg(not(feature = "microbit"))]
+        let mut dense = DENSE.borrow_ref_mut(token);
         for golden in GOLDEN {
-            if !holds(golden, &mut storage) {
+            let is_dense = golden.mode & 3 == 2;
+            if is_dense && cfg!(feature = "microbit") {
+                hprintln!("golden: no memory for the dense coder");
+                continue;
+            }
+            #[cfg(not(feature = "microbit"))]
+            let dense = is_dense.then(|| {
+                let (probabilities, words) = &mut *dense;
+                DenseMemory {
+                    probabilities,
+                    words,
+                }
+            });
+            #[cfg(feature = "microbit")]
+            let dense = None;
+            if !holds(golden, &mut storage, dense) {
                 hprintln!("golden: {} M={} differs", golden.transform, golden.m);
                 failed += 1;
             }
@@ -75,11 +108,11 @@ fn main() -> ! {
 }
 
 #[inline(never)]
-fn holds(golden: &Golden, storage: &mut Small) -> bool {
+fn holds(golden: &Golden, storage: &mut Small, dense: Option<DenseMemory<'_>>) -> bool {
     let Some(config) = config(golden) else {
         return false;
     };
-    let Ok(mut encoder) = storage.encoder(config) else {
+    let Ok(mut encoder) = storage.encoder_with(config, dense) else {
         return false;
     };
     let mut expected = golden.frames.iter();
@@ -172,6 +205,8 @@ fn runs_hold(seed: u32, storage: &mut Small) -> bool {
         height: 3,
         transform: Transform::Dct.name(),
         m: 8,
+        mode: 0,
+        fidelity: 0,
         events: &[],
         frames: &[],
     };
@@ -245,6 +280,8 @@ fn walks_hold(seed: u32, transform: Transform, storage: &mut Small) -> bool {
         height: WIDE.1,
         transform: transform.name(),
         m: 8,
+        mode: 0,
+        fidelity: 0,
         events: &[],
         frames: &[],
     };
@@ -320,6 +357,17 @@ impl Digest {
 }
 
 fn config(golden: &Golden) -> Option<Config> {
+    let fidelity = match golden.mode >> 2 {
+        0 => Fidelity::Lossless,
+        1 => Fidelity::ToleranceUs(golden.fidelity),
+        _ => Fidelity::Bins(golden.fidelity as u16),
+    };
+    let hybrid = |coder| Mode::Hybrid(Hybrid { coder, fidelity });
+    let mode = match golden.mode & 3 {
+        0 => Mode::Transform,
+        1 => hybrid(Coder::Fast),
+        _ => hybrid(Coder::Dense),
+    };
     Some(Config {
         window: WindowConfig {
             sensor: Sensor::new(golden.width, golden.height)?,
@@ -334,6 +382,8 @@ fn config(golden: &Golden) -> Option<Config> {
         m: golden.m,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode,
+        key_windows: KEY_WINDOWS,
     })
 }
 

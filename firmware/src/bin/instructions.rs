@@ -21,8 +21,8 @@ use cortex_m_semihosting::hprintln;
 use eecvs_firmware as _;
 use eecvs_nostd::evt2::Evt2Decoder;
 use eecvs_nostd::{
-    Config, Encoder, OUTPUT_BYTES_MIN, Quantiser, Sensor, SetupError, Stage, Storage, Thresholds,
-    Trace, Transform, WindowConfig, bitmap_words, segments,
+    Config, Encoder, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser, Sensor, SetupError, Stage,
+    Storage, Thresholds, Trace, Transform, WindowConfig, bitmap_words, segments,
 };
 use stm32f4::stm32f405::{Peripherals, TIM2};
 
@@ -273,6 +273,8 @@ fn main() -> ! {
                     m,
                     grid: None,
                     quantiser: Quantiser::DEFAULT,
+                    mode: Mode::Transform,
+                    key_windows: KEY_WINDOWS,
                 };
                 let mut probe = Probe::new();
                 let (Some((whole, output)), Some((_, traced))) = (

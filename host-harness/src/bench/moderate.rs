@@ -4,7 +4,8 @@
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::{
-    Config, Encoder, Event, Push, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+    Config, Encoder, Event, KEY_WINDOWS, Mode, Push, Quantiser, Sensor, Thresholds, Transform,
+    WindowConfig,
 };
 
 use crate::formats::EventReader;
@@ -64,6 +65,8 @@ pub const fn config(transform: Transform, m: u8) -> Config {
         m,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode: Mode::Transform,
+        key_windows: KEY_WINDOWS,
     }
 }
 

@@ -4,7 +4,9 @@ use std::io::sink;
 use std::num::NonZeroUsize;
 
 use anyhow::{Result, ensure};
-use eecvs_nostd::{Config, Event, Quantiser, Sensor, Thresholds, Transform, WindowConfig};
+use eecvs_nostd::{
+    Config, Event, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+};
 use serde::Serialize;
 
 use super::quartiles;
@@ -163,6 +165,8 @@ fn run(
         m: PARAMETER_M,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        mode: Mode::Transform,
+        key_windows: KEY_WINDOWS,
     };
     let limits = Limits {
         window_events: WINDOW_EVENTS,

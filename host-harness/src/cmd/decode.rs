@@ -110,6 +110,7 @@ impl Decode {
 }
 
 fn write_volume(path: &Path, window: &DecodedWindow, bins: Option<u16>) -> Result<()> {
+    let window = &window.with_pixels()?;
     let sensor = window.header.sensor;
     let (height, width) = (usize::from(sensor.height), usize::from(sensor.width));
     match bins {

@@ -7,7 +7,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
-use eecvs_nostd::{Config, Event, Quantiser, Regime, Sensor, Thresholds, Transform, WindowConfig};
+use eecvs_nostd::{
+    Config, Event, KEY_WINDOWS, Mode, Quantiser, Regime, Sensor, Thresholds, Transform,
+    WindowConfig,
+};
 
 use super::monitor::{chart_thresholds, points};
 use super::output::print;
@@ -189,6 +192,8 @@ impl Run {
             m: M,
             grid: None,
             quantiser: Quantiser::DEFAULT,
+            mode: Mode::Transform,
+            key_windows: KEY_WINDOWS,
         };
         let mut reader = formats::open(&self.scene, None)?;
         let progress = Progress::new("events");

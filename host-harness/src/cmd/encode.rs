@@ -3,9 +3,12 @@
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
-use eecvs_nostd::{Config, Kernel, OUTPUT_BYTES_MIN, Quantiser, Transform, WindowConfig};
+use eecvs_nostd::{
+    Coder, Config, Fidelity, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN, Quantiser,
+    Transform, WindowConfig,
+};
 
 use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json, rows};
@@ -51,9 +54,26 @@ pub struct Encode {
 /// How windows are encoded.
 #[derive(Debug, Clone, Args)]
 pub struct CodecOptions {
-    /// How a pixel is represented
+    /// What frames hold
     #[arg(long, value_enum, default_value = "transform")]
     mode: ModeName,
+
+    /// hybrid: no decoded time is off by more than D microseconds [default: 0, lossless]
+    #[arg(long, value_name = "D", conflicts_with = "bins")]
+    time_tolerance_us: Option<u32>,
+
+    /// hybrid: only the volume of B bins in time is exact
+    #[arg(long, value_name = "B", value_parser = clap::value_parser!(u16).range(1..))]
+    bins: Option<u16>,
+
+    /// hybrid: how events become bits
+    #[arg(long, value_enum, default_value = "fast")]
+    coder: CoderName,
+
+    /// hybrid, dense: windows after which a frame can be decoded without those before it
+    #[arg(long, value_name = "N", default_value_t = KEY_WINDOWS,
+          value_parser = clap::value_parser!(u16).range(1..=256))]
+    key_windows: u16,
 
     /// Transform of every window; auto takes the one of its density's regime
     #[arg(long, value_enum, default_value = "auto")]
@@ -100,8 +120,20 @@ pub struct LimitOptions {
 /// A mode on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ModeName {
+    /// The events, as exactly as is asked; --transform, -m and --grid are then those of the volume
+    /// that is decoded from them
+    Hybrid,
     /// Every active pixel as its kept coefficients
     Transform,
+}
+
+/// A coder of events on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum CoderName {
+    /// For speed; every frame decodes by itself
+    Fast,
+    /// For size; frames go on from those before, up to the next key frame
+    Dense,
 }
 
 /// A transform on the command line.
@@ -150,7 +182,27 @@ impl CodecOptions {
     /// # Errors
     /// A thresholds file that cannot be read.
     pub fn config(&self, sensor: eecvs_nostd::Sensor) -> Result<Config> {
-        let ModeName::Transform = self.mode;
+        let fidelity = match (self.time_tolerance_us, self.bins) {
+            (None | Some(0), None) => Fidelity::Lossless,
+            (Some(tolerance_us), _) => Fidelity::ToleranceUs(tolerance_us),
+            (_, Some(bins)) => Fidelity::Bins(bins),
+        };
+        let mode = match self.mode {
+            ModeName::Hybrid => Mode::Hybrid(Hybrid {
+                coder: match self.coder {
+                    CoderName::Fast => Coder::Fast,
+                    CoderName::Dense => Coder::Dense,
+                },
+                fidelity,
+            }),
+            ModeName::Transform => {
+                ensure!(
+                    fidelity == Fidelity::Lossless,
+                    "--time-tolerance-us and --bins are for --mode hybrid"
+                );
+                Mode::Transform
+            }
+        };
         Ok(Config {
             window: WindowConfig {
                 sensor,
@@ -166,6 +218,8 @@ impl CodecOptions {
             m: self.m,
             grid: self.grid,
             quantiser: Quantiser::new(self.step_log2).context("the step is out of range")?,
+            mode,
+            key_windows: self.key_windows,
         })
     }
 }

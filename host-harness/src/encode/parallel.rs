@@ -28,6 +28,7 @@ use std::thread::{Builder, scope};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
+use eecvs_nostd::coder::chain::Chain;
 use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{Encoded, Event, Header, Window, WindowEncoder};
 
@@ -84,6 +85,8 @@ struct Front {
     cutter: Cutter<ReadAhead>,
     /// Windows cut so far; wraps, as the frames' numbers do.
     windows: u32,
+    /// Of the dense coder: windows after which its frames begin anew. A go ends there.
+    chained: Option<u16>,
     cuts: SyncSender<Cut>,
 }
 
@@ -107,8 +110,10 @@ pub fn encode(
     progress: &mut dyn FnMut(u64),
 ) -> Result<Outcome> {
     let sensor = codec.config.window.sensor;
+    let chained = codec.chained();
+    let windows = chained.map_or(WINDOWS, |key_windows| usize::from(key_windows).max(1));
     let mut storages: Vec<_> = (0..threads.get())
-        .map(|_| HostStorage::with_windows(WINDOWS, sensor, limits.window_events))
+        .map(|_| HostStorage::with_windows(windows, sensor, limits.window_events))
         .collect();
     let encoders: Vec<_> = storages
         .iter_mut()
@@ -130,6 +135,7 @@ pub fn encode(
             used: used_in,
         }),
         windows: 0,
+        chained,
         cuts: cuts_in,
     }));
     scope(|scope| {
@@ -211,6 +217,7 @@ impl Front {
         busy: &mut Duration,
     ) -> Option<(usize, u32, SyncSender<Result<Chunk>>)> {
         let (mut count, mut events) = (0, 0);
+        let mut chain = Chain::START;
         let mut failed = None;
         for window in windows {
             match self.cutter.cut(window, busy) {
@@ -223,7 +230,14 @@ impl Front {
             }
             count += 1;
             events += window.events();
-            if events >= EVENTS {
+            let ends = match self.chained {
+                Some(key_windows) => {
+                    chain.next(window.events(), key_windows);
+                    chain.ends(key_windows)
+                }
+                None => events >= EVENTS,
+            };
+            if ends {
                 break;
             }
         }
@@ -263,6 +277,8 @@ impl Thread<'_, '_> {
         let (count, first, chunks) = cut?;
         let extra = self.shared.extra_frames.load(Ordering::Relaxed);
         self.encoder.follow(first.wrapping_add(extra));
+        // A go is a chain of its own.
+        self.encoder.restart();
         self.encode(count, &chunks)
     }
 

@@ -1,6 +1,8 @@
 //! Memory of an encoder on the host.
 
 use anyhow::{Context, Result, bail};
+use eecvs_nostd::coder::dense::{DenseMemory, PROBABILITIES, words};
+use eecvs_nostd::coder::range::Probability;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::transform::GRID_MAX;
 use eecvs_nostd::window::Head;
@@ -17,6 +19,8 @@ pub struct HostStorage {
     sums: Vec<Sum>,
     totals: Vec<WideSum>,
     magnitudes: Vec<u32>,
+    probabilities: Vec<Probability>,
+    words: Vec<u32>,
 }
 
 /// Buffers of a window.
@@ -69,6 +73,8 @@ impl HostStorage {
             sums: vec![Sum::ZERO; numbers],
             totals: vec![WideSum::ZERO; numbers],
             magnitudes: vec![0; numbers],
+            probabilities: vec![Probability::EVEN; PROBABILITIES],
+            words: vec![0; words(sensor, true)],
         }
     }
 
@@ -100,10 +106,16 @@ impl HostStorage {
             sums: &mut self.sums,
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
+            dense: Some(DenseMemory {
+                probabilities: &mut self.probabilities,
+                words: &mut self.words,
+            }),
         };
         match WindowEncoder::new(config, scratch) {
             Ok(encoder) => Ok((windows, encoder)),
-            Err(error) => bail!("M must be 1 to 64 and the grid 1 to 1024 ({error:?} is not)"),
+            Err(error) => bail!(
+                "M must be 1 to 64, the grid 1 to 1024, and bins 1 or more ({error:?} is not)"
+            ),
         }
     }
 }

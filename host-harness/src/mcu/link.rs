@@ -233,7 +233,7 @@ mod tests {
     use crate::encode::{Limits, all_cores, encode};
     use crate::scene::{Preset, SceneConfig, emulate};
     use eecvs_nostd::evt2::{Evt2Decoder, Word};
-    use eecvs_nostd::{Config, Quantiser, Sensor, Thresholds, WindowConfig};
+    use eecvs_nostd::{Config, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, WindowConfig};
     use proptest::prelude::*;
     use std::sync::LazyLock;
 
@@ -259,6 +259,8 @@ mod tests {
             m: 4,
             grid: None,
             quantiser: Quantiser::DEFAULT,
+            mode: Mode::Transform,
+            key_windows: KEY_WINDOWS,
         };
         let mut bytes = Vec::new();
         let mut scene = emulate(SCENE).unwrap();

@@ -46,6 +46,11 @@ pub struct EventDecoder {
     bins: Option<Bins>,
 }
 
+fn in_order(mut events: Vec<Event>) -> Vec<Event> {
+    events.par_sort_unstable_by_key(|event| (event.t_us, event.y, event.x, event.polarity));
+    events
+}
+
 /// A decoded event of a pixel: u and p.
 type Placed = (f64, f64);
 
@@ -109,9 +114,12 @@ impl EventDecoder {
     /// A window's events, ordered by time, row, column and polarity.
     #[must_use]
     pub fn window(&self, window: &DecodedWindow) -> Vec<Event> {
+        if !window.events.is_empty() {
+            return in_order(window.events.clone());
+        }
         let header = &window.header;
         let duration_us = f64::from(header.duration_us);
-        let mut events: Vec<Event> = window
+        let events: Vec<Event> = window
             .pixels
             .par_iter()
             .with_min_len(64)
@@ -127,8 +135,7 @@ impl EventDecoder {
                 })
             })
             .collect();
-        events.par_sort_unstable_by_key(|event| (event.t_us, event.y, event.x, event.polarity));
-        events
+        in_order(events)
     }
 
     /// u and p of a pixel's events: `on` of +1 and `off` of -1, in no order.
@@ -453,6 +460,7 @@ mod tests {
                     coefficients: coefficients(Transform::Dtft, 16, &[(u, -1.0)]),
                     single_u: None,
                 }],
+                events: vec![],
             };
             let event = Event {
                 t_us: 5000 + u64::from(offset_us),

@@ -2,11 +2,12 @@
 
 pub mod bins;
 pub mod events;
+pub mod hybrid;
 #[cfg(test)]
 mod test_header;
 pub mod volume;
 
-use eecvs_nostd::{Descriptor, Frame, Header, UnpackError};
+use eecvs_nostd::{Descriptor, Event, Frame, Header, UnpackError};
 
 /// One pixel's dequantised coefficients.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,8 +60,10 @@ pub fn pixels(frame: &Frame<'_>) -> Result<Vec<Pixel>, UnpackError> {
 pub struct DecodedWindow {
     /// Header of its first frame that came.
     pub header: Header,
-    /// Pixels of all its frames that came, of each frame in raster order.
+    /// Pixels of all its frames that came, of each frame in raster order; none in mode `hybrid`.
     pub pixels: Vec<Pixel>,
+    /// In mode `hybrid` the events instead, of each frame in raster order.
+    pub events: Vec<Event>,
 }
 
 impl DecodedWindow {
@@ -144,6 +147,7 @@ mod tests {
                 coefficients: vec![(0, 1.0, 0.0), (5, 0.25, -0.75)],
                 single_u: None,
             }],
+            events: vec![],
         };
         assert_eq!(window.channels(), 32);
         for (channel, expected) in [(0, 1.0), (1, 0.0), (9, 0.0), (10, 0.25), (11, -0.75)] {

@@ -9,6 +9,8 @@ pub fn header(duration_us: u32) -> Header {
         last: true,
         regime: Regime::Moderate,
         mode: Mode::Transform,
+        is_key: true,
+        has_previous: false,
         sequence: 0,
         part: 0,
         sensor: Sensor {

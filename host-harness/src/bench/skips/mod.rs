@@ -19,8 +19,8 @@ use eecvs_nostd::bits::exp_golomb;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt};
 use eecvs_nostd::window::SEGMENT_PIXELS;
 use eecvs_nostd::{
-    Coded, Config, Descriptor, Encoded, Encoder, FRAME_BYTES_MAX, Frame, Header, Level, Push,
-    Quantiser, Thresholds, Transform, WindowConfig, bitmap_words, segments,
+    Coded, Config, Descriptor, Encoded, Encoder, FRAME_BYTES_MAX, Frame, Header, KEY_WINDOWS,
+    Level, Mode, Push, Quantiser, Thresholds, Transform, WindowConfig, bitmap_words, segments,
 };
 use serde::Serialize;
 
@@ -191,6 +191,8 @@ impl<'s> Point<'s> {
             m,
             grid: Some(self.grid()),
             quantiser: Quantiser::DEFAULT,
+            mode: Mode::Transform,
+            key_windows: KEY_WINDOWS,
         }
     }
 

@@ -1,0 +1,59 @@
+//! Which frames of the dense coder begin anew.
+
+/// Windows after which a key frame comes, where nothing else is set.
+pub const KEY_WINDOWS: u16 = 64;
+/// Events after which the next window begins with a key frame, however few windows they were: what a
+/// host encodes in one go stays within bounds.
+pub const KEY_EVENTS: u32 = 1 << 20;
+
+/// Windows and events since the last key frame that was due.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Chain {
+    windows: u16,
+    events: u32,
+}
+
+impl Chain {
+    /// Before the first window.
+    pub const START: Self = Self {
+        windows: 0,
+        events: 0,
+    };
+
+    /// Takes a window of `events` events; whether it begins with a key frame.
+    pub const fn next(&mut self, events: u32, key_windows: u16) -> bool {
+        let is_key = self.windows == 0 || self.windows >= key_windows || self.events >= KEY_EVENTS;
+        if is_key {
+            *self = Self::START;
+        }
+        self.windows = self.windows.saturating_add(1);
+        self.events = self.events.saturating_add(events);
+        is_key
+    }
+
+    /// Whether the window after those taken begins with a key frame.
+    #[must_use]
+    pub const fn ends(self, key_windows: u16) -> bool {
+        let mut after = self;
+        after.next(0, key_windows)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_comes_after_windows_or_events() {
+        let mut chain = Chain::START;
+        let keys: std::vec::Vec<_> = (0..7).map(|_| chain.next(10, 3)).collect();
+        assert_eq!(keys, [true, false, false, true, false, false, true]);
+        let mut chain = Chain::START;
+        let keys: std::vec::Vec<_> = (0..5).map(|_| chain.next(KEY_EVENTS / 2, 100)).collect();
+        assert_eq!(keys, [true, false, true, false, true]);
+        // A spacing of 0 is one of 1.
+        let mut chain = Chain::START;
+        assert!(chain.next(1, 0) && chain.ends(0) && chain.next(1, 0));
+    }
+}

@@ -1,0 +1,267 @@
+//! A window's events to a hybrid frame: group, cells, and one of the coders.
+
+use crate::bits::BitWriter;
+use crate::coder::Cells;
+use crate::coder::content::{Content, Node};
+use crate::coder::dense::Dense;
+use crate::coder::fast::{Fast, ROOM_WORDS};
+use crate::coder::range::RangeEncoder;
+use crate::frame::Header;
+use crate::group::{Group, Impulses, Pixel};
+use crate::sort::ascending;
+use crate::trace::{Stage, Trace};
+use crate::window::{Slot, Window};
+
+/// What a frame took.
+pub(crate) struct Taken {
+    pub(crate) payload_bytes: usize,
+    pub(crate) events: u32,
+    /// The window has no more.
+    pub(crate) is_last: bool,
+    /// The next frame of the dense coder has to begin anew.
+    pub(crate) overran: bool,
+}
+
+/// What is left of a window between frames.
+pub(crate) struct EventEncoder<'e, 'w, 'b> {
+    group: &'e mut Group,
+    window: &'w mut Window<'b>,
+    cells: Cells,
+    /// The next pixel is the rest of one whose times are cells, in order.
+    is_rest: &'e mut bool,
+}
+
+impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
+    pub(crate) const fn new(
+        group: &'e mut Group,
+        window: &'w mut Window<'b>,
+        cells: Cells,
+        is_rest: &'e mut bool,
+    ) -> Self {
+        Self {
+            group,
+            window,
+            cells,
+            is_rest,
+        }
+    }
+
+    /// The next pixel, its times in cells and in order.
+    #[inline(always)]
+    fn next(&mut self) -> Option<Pixel> {
+        let mut pixel = self.group.next(self.window)?;
+        if core::mem::take(self.is_rest) {
+            return Some(pixel);
+        }
+        let slots = self.window.slots();
+        if !self.cells.is_lossless() {
+            let mut at = pixel.head;
+            while let Some(slot) = slots.get_mut(at as usize) {
+                at = slot.next();
+                *slot = slot.with_offset_us(self.cells.of(slot.offset_us()));
+            }
+        }
+        if pixel.on + pixel.off > 1 {
+            pixel.head = ascending(slots, pixel.head);
+        }
+        Some(pixel)
+    }
+
+    /// Keeps what is left of a pixel, from slot `head` on, for the next frame.
+    fn put_back(&mut self, pixel: Pixel, head: u32) {
+        let slots = self.window.slots();
+        let mut rest = Pixel {
+            on: 0,
+            off: 0,
+            head,
+            ..pixel
+        };
+        for impulse in Impulses::new(rest, slots) {
+            rest.on += u32::from(impulse.is_on);
+            rest.off += u32::from(!impulse.is_on);
+        }
+        self.group.put_back(rest);
+        *self.is_rest = true;
+    }
+
+    /// Codes with [`Fast`] into `out`.
+    #[inline(never)]
+    pub(crate) fn fast<T: Trace>(
+        &mut self,
+        header: &Header,
+        out: &mut [u8],
+        trace: &mut T,
+    ) -> Taken {
+        let mut writer = BitWriter::new(out);
+        let mut coder = Fast::new(header.sensor, header.window_events, self.cells.count());
+        let mut taken = Taken {
+            payload_bytes: 0,
+            events: 0,
+            is_last: true,
+            overran: false,
+        };
+        while let Some(pixel) = self.next() {
+            if !writer.has_words(ROOM_WORDS) {
+                self.put_back(pixel, pixel.head);
+                taken.is_last = false;
+                break;
+            }
+            trace.enter(Stage::Pack);
+            let mut impulses = Impulses::new(pixel, self.window.slots());
+            let events = impulses
+                .by_ref()
+                .map(|impulse| (impulse.offset_us, impulse.is_on));
+            let written = coder.write((pixel.x, pixel.y), events, &mut writer);
+            taken.events += written;
+            if written < pixel.on + pixel.off {
+                let head = nth(self.window.slots(), pixel.head, written);
+                self.put_back(pixel, head);
+                taken.is_last = false;
+                break;
+            }
+            trace.enter(Stage::Group);
+        }
+        taken.payload_bytes = writer.finish();
+        taken
+    }
+
+    /// Codes with [`Dense`] into `out`, up to `left` events, which the window has.
+    #[inline(never)]
+    pub(crate) fn dense<T: Trace>(
+        &mut self,
+        dense: &mut Dense<'_>,
+        left: u32,
+        out: &mut [u8],
+        trace: &mut T,
+    ) -> Taken {
+        trace.enter(Stage::Pack);
+        let mut coder = RangeEncoder::new(out);
+        let cells = self.cells.count();
+        let mut content = Pixels {
+            pixel: None,
+            at: 0,
+            rest: 0,
+            row: 0,
+            segment: 0,
+            left,
+            encoder: self,
+        };
+        let coded = dense.code(&mut coder, &mut content, cells);
+        let (pixel, at, rest) = (content.pixel, content.at, content.rest);
+        if let Some(pixel) = pixel
+            && rest > 0
+        {
+            self.put_back(pixel, at);
+        }
+        trace.enter(Stage::Group);
+        Taken {
+            payload_bytes: coder.finish(),
+            events: coded.events,
+            is_last: coded.events == left,
+            overran: coded.overran,
+        }
+    }
+}
+
+fn nth(slots: &[Slot], mut at: u32, count: u32) -> u32 {
+    for _ in 0..count {
+        let Some(slot) = slots.get(at as usize) else {
+            break;
+        };
+        at = slot.next();
+    }
+    at
+}
+
+/// The window as the dense coder asks for it.
+struct Pixels<'p, 'e, 'w, 'b> {
+    encoder: &'p mut EventEncoder<'e, 'w, 'b>,
+    /// The pixel at hand, the slot of its next event, and how many are left of it.
+    pixel: Option<Pixel>,
+    at: u32,
+    rest: u32,
+    row: u16,
+    segment: u16,
+    /// Events left of the window.
+    left: u32,
+}
+
+impl Pixels<'_, '_, '_, '_> {
+    fn next_position(&mut self) -> Option<(u16, u16)> {
+        let EventEncoder { group, window, .. } = &mut *self.encoder;
+        group.peek(window)
+    }
+
+    fn slot(&self) -> Slot {
+        let slots = self.encoder.window.slots_now();
+        slots.get(self.at as usize).copied().unwrap_or(Slot::EMPTY)
+    }
+}
+
+impl Content for Pixels<'_, '_, '_, '_> {
+    fn has_row(&mut self, y: u16) -> bool {
+        self.row = y;
+        self.next_position().is_some_and(|(_, row)| row == y)
+    }
+
+    fn has_segment(&mut self, segment: u16) -> bool {
+        self.segment = segment;
+        let row = self.row;
+        self.next_position()
+            .is_some_and(|(x, y)| (x / 32, y) == (segment, row))
+    }
+
+    #[inline(always)]
+    fn has_column(&mut self, column: u16) -> bool {
+        // The segment at hand has pixels, of which some may be done.
+        let Group {
+            columns,
+            segment_x,
+            segment_y,
+            ..
+        } = *self.encoder.group;
+        (segment_x / 32, segment_y) == (self.segment, self.row) && columns >> column & 1 == 1
+    }
+
+    fn enter(&mut self, _position: (u16, u16)) -> u32 {
+        // It was asked for: there is one.
+        self.pixel = self.encoder.next();
+        (self.at, self.rest) = self
+            .pixel
+            .map_or((0, 0), |pixel| (pixel.head, pixel.on + pixel.off));
+        self.at
+    }
+
+    #[inline(always)]
+    fn is_more(&self) -> bool {
+        self.rest > 0
+    }
+
+    #[inline(always)]
+    fn peek(&self) -> (u32, bool) {
+        let slot = self.slot();
+        (slot.offset_us(), slot.is_on())
+    }
+
+    #[inline(always)]
+    fn take(&mut self, _cell: u32, _on: bool) {
+        self.at = self.slot().next();
+        self.rest = self.rest.saturating_sub(1);
+        self.left = self.left.saturating_sub(1);
+    }
+
+    #[inline(always)]
+    fn is_over(&self) -> bool {
+        self.left == 0
+    }
+
+    #[inline(always)]
+    fn at(&self, list: u32) -> Option<Node> {
+        let slot = self.encoder.window.slots_now().get(list as usize)?;
+        Some(Node {
+            cell: slot.offset_us(),
+            on: slot.is_on(),
+            next: slot.next(),
+        })
+    }
+}

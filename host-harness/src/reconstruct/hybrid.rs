@@ -1,0 +1,252 @@
+//! Events of hybrid frames.
+
+use anyhow::{Context, Result};
+use eecvs_nostd::bits::BitReader;
+use eecvs_nostd::coder::content::{Content, END, Node};
+use eecvs_nostd::coder::dense::{Dense, DenseMemory, PROBABILITIES, words};
+use eecvs_nostd::coder::fast::Fast;
+use eecvs_nostd::coder::range::{Probability, RangeDecoder};
+use eecvs_nostd::{
+    Cells, Coder, Config, Event, Frame, Header, Hybrid, Mode, Polarity, Push, Sensor,
+};
+use eecvs_nostd::{Thresholds, WindowConfig};
+
+use super::{DecodedWindow, Pixel, pixels};
+use crate::encode::HostStorage;
+
+/// Why a hybrid frame has no events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refused {
+    /// Its payload contradicts its header.
+    Malformed,
+    /// It goes on from a frame that did not come.
+    Dependent,
+}
+
+/// Decodes hybrid frames in the order in which they come.
+#[derive(Debug, Default)]
+pub struct HybridDecoder {
+    chain: Option<Chain>,
+    nodes: Vec<Node>,
+    positions: Vec<(u16, u16)>,
+}
+
+/// What the dense coder knows after a frame.
+#[derive(Debug)]
+struct Chain {
+    sensor: Sensor,
+    probabilities: Vec<Probability>,
+    words: Vec<u32>,
+    /// Number of the frame that goes on from here.
+    next: u32,
+}
+
+impl Chain {
+    fn new(sensor: Sensor) -> Self {
+        Self {
+            sensor,
+            probabilities: vec![Probability::EVEN; PROBABILITIES],
+            words: vec![0; words(sensor, true)],
+            next: 0,
+        }
+    }
+}
+
+impl HybridDecoder {
+    /// A frame's events, in raster order.
+    ///
+    /// # Errors
+    /// [`Refused`]; nothing of the frame is returned then.
+    pub fn frame(&mut self, frame: &Frame<'_>, hybrid: Hybrid) -> Result<Vec<Event>, Refused> {
+        let header = &frame.header;
+        let cells = Cells::new(hybrid.fidelity, header.duration_us);
+        match hybrid.coder {
+            Coder::Fast => fast(header, frame.payload, cells),
+            Coder::Dense => self.dense(header, frame.payload, cells),
+        }
+    }
+
+    fn dense(
+        &mut self,
+        header: &Header,
+        payload: &[u8],
+        cells: Cells,
+    ) -> Result<Vec<Event>, Refused> {
+        let chain = self.chain.take();
+        let mut chain = if header.is_key {
+            chain
+                .filter(|chain| chain.sensor == header.sensor)
+                .unwrap_or_else(|| Chain::new(header.sensor))
+        } else {
+            chain
+                .filter(|chain| chain.sensor == header.sensor && chain.next == header.sequence)
+                .ok_or(Refused::Dependent)?
+        };
+        let mut memory = DenseMemory {
+            probabilities: &mut chain.probabilities,
+            words: &mut chain.words,
+        };
+        let mut dense = Dense::with_previous(header.sensor, header.has_previous, &mut memory)
+            .ok_or(Refused::Malformed)?;
+        if header.is_key {
+            dense.restart();
+        }
+        self.nodes.clear();
+        self.positions.clear();
+        let mut content = Found {
+            nodes: &mut self.nodes,
+            positions: &mut self.positions,
+            position: (0, 0),
+            is_first: true,
+            left: header.events,
+        };
+        let mut reader = RangeDecoder::new(payload);
+        let coded = dense.code(&mut reader, &mut content, cells.count());
+        // An encoder that ran out of room has written more than what counts.
+        let is_whole = coded.events == header.events && !reader.is_beyond();
+        if !is_whole || (header.last && !reader.is_spent()) {
+            return Err(Refused::Malformed);
+        }
+        chain.next = header.sequence.wrapping_add(1);
+        self.chain = Some(chain);
+        let found = self.positions.iter().zip(&self.nodes);
+        Ok(found
+            .map(|(position, node)| event(header, cells, *position, node.cell, node.on))
+            .collect())
+    }
+}
+
+fn event(header: &Header, cells: Cells, (x, y): (u16, u16), cell: u32, on: bool) -> Event {
+    Event {
+        t_us: header
+            .t0_us
+            .saturating_add(u64::from(cells.offset_us(cell))),
+        x,
+        y,
+        polarity: Polarity::from_bool(on),
+    }
+}
+
+fn fast(header: &Header, payload: &[u8], cells: Cells) -> Result<Vec<Event>, Refused> {
+    let coder = Fast::new(header.sensor, header.window_events, cells.count());
+    let mut reader = BitReader::new(payload);
+    // An event takes a bit at the least: so much and no more is believed before it is read.
+    let believed = payload.len().saturating_mul(8).min(header.events as usize);
+    let mut events = Vec::with_capacity(believed);
+    let each = |position, cell, on| events.push(event(header, cells, position, cell, on));
+    match coder.read(header.events, &mut reader, each) {
+        Ok(_) if reader.is_spent() => Ok(events),
+        _ => Err(Refused::Malformed),
+    }
+}
+
+/// The dense coder's events as they are found.
+struct Found<'d> {
+    nodes: &'d mut Vec<Node>,
+    positions: &'d mut Vec<(u16, u16)>,
+    position: (u16, u16),
+    is_first: bool,
+    left: u32,
+}
+
+impl Content for Found<'_> {
+    fn has_row(&mut self, _: u16) -> bool {
+        false
+    }
+
+    fn has_segment(&mut self, _: u16) -> bool {
+        false
+    }
+
+    fn has_column(&mut self, _: u16) -> bool {
+        false
+    }
+
+    fn enter(&mut self, position: (u16, u16)) -> u32 {
+        self.position = position;
+        self.is_first = true;
+        self.nodes.len() as u32
+    }
+
+    fn is_more(&self) -> bool {
+        false
+    }
+
+    fn peek(&self) -> (u32, bool) {
+        (0, false)
+    }
+
+    fn take(&mut self, cell: u32, on: bool) {
+        let next = self.nodes.len() as u32;
+        if !self.is_first
+            && let Some(before) = self.nodes.last_mut()
+        {
+            before.next = next;
+        }
+        self.is_first = false;
+        self.nodes.push(Node {
+            cell,
+            on,
+            next: END,
+        });
+        self.positions.push(self.position);
+        self.left -= 1;
+    }
+
+    fn is_over(&self) -> bool {
+        self.left == 0
+    }
+
+    fn at(&self, list: u32) -> Option<Node> {
+        self.nodes.get(list as usize).copied()
+    }
+}
+
+impl DecodedWindow {
+    /// The window's kept coefficients: those of the frame or, where events came, those that the
+    /// encoder would have sent for them, to the bit.
+    ///
+    /// # Errors
+    /// A window that the encoder does not take.
+    pub fn with_pixels(&self) -> Result<Self> {
+        if self.header.mode == Mode::Transform {
+            return Ok(self.clone());
+        }
+        let header = &self.header;
+        let config = Config {
+            window: WindowConfig {
+                sensor: header.sensor,
+                window_us: header.duration_us,
+            },
+            thresholds: Thresholds::new(0, 0).context("thresholds of 0")?,
+            transform: Some(header.transform),
+            m: header.m,
+            grid: Some(header.grid),
+            quantiser: header.quantiser,
+            mode: Mode::Transform,
+            key_windows: 1,
+        };
+        let mut storage = HostStorage::new(header.sensor, self.events.len().max(1));
+        let mut encoder = storage.encoder(config)?;
+        encoder.window().follow(Some(header.t0_us));
+        for event in &self.events {
+            let push = encoder.push(*event);
+            anyhow::ensure!(push == Push::Stored, "an event is outside of its window");
+        }
+        encoder.flush();
+        let mut out = vec![0; eecvs_nostd::FRAME_BYTES_MAX];
+        let mut found: Vec<Pixel> = Vec::new();
+        while let Some(encoded) = encoder.next_frame(&mut out).ok().flatten() {
+            let frame = Frame::parse(&out[encoded.range]).context("a frame made here")?;
+            found.extend(pixels(&frame).context("a frame made here")?);
+        }
+        Ok(Self {
+            header: Header {
+                mode: Mode::Transform,
+                ..*header
+            },
+            pixels: found,
+            events: Vec::new(),
+        })
+    }
+}

@@ -1,0 +1,259 @@
+//! Mode `hybrid`: what comes back is what was asked for, whatever the events, the frames' sizes and
+//! their losses.
+
+use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
+use eecvs_nostd::{
+    Coder, Config, Event, Fidelity, Frame, Header, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor,
+};
+use host_harness::decode::WindowReader;
+use host_harness::frame_file::{FrameReader, LinkReport};
+use host_harness::reconstruct::DecodedWindow;
+use host_harness::reconstruct::hybrid::HybridDecoder;
+use proptest::prelude::*;
+use strategies::{encode, hybrid, job, parse};
+
+fn hybrid_job(most: usize) -> impl Strategy<Value = (Config, Hybrid, Vec<Event>)> {
+    (job(most), hybrid(), 1_u16..6).prop_map(|((config, events), hybrid, key_windows)| {
+        let mode = Mode::Hybrid(hybrid);
+        let config = Config {
+            mode,
+            key_windows,
+            ..config
+        };
+        (config, hybrid, events)
+    })
+}
+
+fn decode(frames: &[Vec<u8>]) -> (Vec<DecodedWindow>, LinkReport) {
+    let bytes = frames.concat();
+    let mut reader = WindowReader::new(FrameReader::new(&bytes[..]));
+    let mut windows = Vec::new();
+    while let Some(window) = reader.next_window().expect("memory") {
+        windows.push(window);
+    }
+    (windows, reader.report().clone())
+}
+
+/// Events of a window in one order, for multisets.
+fn sorted(mut events: Vec<Event>) -> Vec<Event> {
+    events.sort_by_key(|event| (event.y, event.x, event.t_us, event.polarity));
+    events
+}
+
+/// Whether decoded events are a window's as exactly as was asked.
+fn check(hybrid: Hybrid, header: &Header, of: Vec<Event>, decoded: Vec<Event>) {
+    let end_us = header.t0_us.saturating_add(u64::from(header.duration_us));
+    for event in &decoded {
+        assert!((header.t0_us..end_us).contains(&event.t_us), "{event:?}");
+    }
+    let cell = |event: &Event| {
+        let offset_us = event.t_us - header.t0_us;
+        match hybrid.fidelity {
+            Fidelity::Lossless => offset_us,
+            Fidelity::ToleranceUs(tolerance_us) => offset_us / (2 * u64::from(tolerance_us) + 1),
+            Fidelity::Bins(bins) => offset_us * u64::from(bins) / u64::from(header.duration_us),
+        }
+    };
+    let told = |events: Vec<Event>| {
+        let told = |event: &Event| (event.y, event.x, cell(event), event.polarity);
+        let mut told: Vec<_> = events.iter().map(told).collect();
+        told.sort_unstable();
+        told
+    };
+    if let Fidelity::ToleranceUs(tolerance_us) = hybrid.fidelity {
+        // Pixel by pixel and polarity by polarity, in order: none is further off.
+        let key = |event: &Event| (event.y, event.x, event.polarity, event.t_us);
+        let (mut a, mut b) = (of.clone(), decoded.clone());
+        a.sort_by_key(key);
+        b.sort_by_key(key);
+        for (a, b) in a.iter().zip(&b) {
+            assert!(a.t_us.abs_diff(b.t_us) <= u64::from(tolerance_us));
+        }
+    }
+    assert_eq!(told(of), told(decoded));
+}
+
+/// The events by window, as the encoder makes windows of them; without late ones.
+fn windows_of(config: Config, events: &[Event], window_events: usize) -> Vec<(Header, Vec<Event>)> {
+    let lossless = Config {
+        mode: Mode::Hybrid(Hybrid::default()),
+        ..config
+    };
+    let (windows, report) = decode(&encode(lossless, events, window_events, 1 << 20));
+    assert!(report.is_clean());
+    let windows: Vec<_> = windows.into_iter().map(|w| (w.header, w.events)).collect();
+    let decoded: Vec<Event> = windows
+        .iter()
+        .flat_map(|(_, events)| events.clone())
+        .collect();
+    // The fast coder's lossless frames are checked against the events themselves.
+    let mut left = sorted(events.to_vec());
+    for event in sorted(decoded) {
+        let at = left.iter().position(|other| *other == event);
+        left.remove(at.expect("an event that was pushed"));
+    }
+    let late: u32 = encode(lossless, events, window_events, 1 << 20)
+        .iter()
+        .map(|bytes| parse(bytes).header)
+        .map(|header| header.late + header.dropped)
+        .sum();
+    assert_eq!(left.len(), late as usize);
+    windows
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn windows_come_back_as_exactly_as_was_asked(
+        (config, hybrid, events) in hybrid_job(300),
+        window_events in prop_oneof![1..40_usize, Just(1000)],
+        frame_bytes in prop_oneof![Just(OUTPUT_BYTES_MIN), Just(1 << 16)],
+    ) {
+        let windows = windows_of(config, &events, window_events);
+        let frames = encode(config, &events, window_events, frame_bytes);
+        for (index, bytes) in frames.iter().enumerate() {
+            prop_assert!(bytes.len() <= frame_bytes);
+            prop_assert_eq!(parse(bytes).header.sequence, index as u32);
+        }
+        let (decoded, report) = decode(&frames);
+        prop_assert!(report.is_clean(), "{:?}", report);
+        prop_assert_eq!(decoded.len(), windows.len());
+        for ((header, events), decoded) in windows.into_iter().zip(decoded) {
+            prop_assert_eq!(decoded.header.t0_us, header.t0_us);
+            prop_assert_eq!(decoded.header.duration_us, header.duration_us);
+            check(hybrid, &header, events, decoded.events);
+        }
+    }
+
+    /// The volume is the same array in both modes.
+    #[test]
+    fn the_volume_of_lossless_events_is_that_of_the_transform(
+        (config, _, events) in hybrid_job(200),
+    ) {
+        let transform = Config { mode: Mode::Transform, ..config };
+        let lossless = Config { mode: Mode::Hybrid(Hybrid::default()), ..config };
+        let (of_transform, _) = decode(&encode(transform, &events, 1000, 1 << 20));
+        let (of_events, _) = decode(&encode(lossless, &events, 1000, 1 << 20));
+        prop_assert_eq!(of_transform.len(), of_events.len());
+        for (a, b) in of_transform.iter().zip(of_events) {
+            let b = b.with_pixels().expect("a window");
+            prop_assert_eq!(&a.pixels, &b.pixels);
+            prop_assert_eq!(a.header.transform, b.header.transform);
+        }
+    }
+
+    /// A frame that does not come costs what goes on from it, and nothing else, and is told.
+    #[test]
+    fn a_lost_frame_is_told_and_left_behind_at_the_next_key(
+        (config, hybrid, events) in hybrid_job(300), lost in any::<prop::sample::Index>(),
+    ) {
+        let mut frames = encode(config, &events, 20, OUTPUT_BYTES_MIN);
+        prop_assume!(frames.len() > 2);
+        let lost = lost.index(frames.len() - 1);
+        let (all, _) = decode(&frames);
+        let next_key = (lost + 1..frames.len())
+            .find(|i| parse(&frames[*i]).header.is_key)
+            .unwrap_or(frames.len());
+        if hybrid.coder == Coder::Fast {
+            prop_assert_eq!(next_key, lost + 1);
+        }
+        let dependent = next_key - lost - 1;
+        let after = frames.get(next_key).map(|bytes| parse(bytes).header);
+        frames.remove(lost);
+        let (decoded, report) = decode(&frames);
+        prop_assert_eq!(report.frames_dependent, dependent as u64);
+        prop_assert_eq!(report.frames_malformed, 0);
+        // Whole windows from the next key on are there.
+        if let Some(after) = after.filter(|header| header.part == 0) {
+            let from = |windows: &[DecodedWindow]| -> Vec<DecodedWindow> {
+                let at = windows.iter().rposition(|w| w.header.t0_us < after.t0_us);
+                windows[at.map_or(0, |at| at + 1)..].to_vec()
+            };
+            prop_assert_eq!(from(&decoded).len(), from(&all).len());
+        }
+    }
+
+    /// Any payload behind a sound header is events of its window, or refused.
+    #[test]
+    fn any_payload_is_events_or_refused(
+        hybrid in hybrid(), payload in proptest::collection::vec(any::<u8>(), 0..300),
+        (width, height) in (1_u16..100, 1_u16..50), duration_us in 1_u32..,
+        events in 0_u32..5000, more in 0_u32..5000, flags in 0_u8..8,
+    ) {
+        let header = Header {
+            mode: Mode::Hybrid(hybrid),
+            sensor: Sensor { width, height },
+            duration_us,
+            events,
+            window_events: events + more,
+            last: flags & 1 != 0,
+            is_key: hybrid.coder == Coder::Fast || flags & 2 != 0,
+            has_previous: hybrid.coder == Coder::Dense && flags & 4 != 0,
+            pixels: 0,
+            ..header()
+        };
+        let mut out = vec![0; HEADER_BYTES_MAX + payload.len() + 4];
+        out[HEADER_BYTES_MAX..][..payload.len()].copy_from_slice(&payload);
+        let range = seal(&header, payload.len(), &mut out).expect("room");
+        let frame = Frame::parse(&out[range]).expect("a sound header");
+        prop_assert_eq!(frame.header, header);
+        let end_us = header.t0_us + u64::from(duration_us);
+        if let Ok(found) = HybridDecoder::default().frame(&frame, hybrid) {
+            prop_assert_eq!(found.len(), events as usize);
+            prop_assert!(header.is_key);
+            for event in found {
+                prop_assert!(header.sensor.contains(event.x, event.y));
+                prop_assert!((header.t0_us..end_us).contains(&event.t_us));
+            }
+        }
+    }
+}
+
+fn header() -> Header {
+    let event = Event {
+        t_us: 77,
+        x: 0,
+        y: 0,
+        polarity: Polarity::On,
+    };
+    let sensor = Sensor {
+        width: 1,
+        height: 1,
+    };
+    let config = strategies::plain_config(sensor, eecvs_nostd::Transform::Dct, 8);
+    parse(&encode(config, &[event], 1, 1 << 16)[0]).header
+}
+
+/// A pixel of more events than a frame has room for is in several.
+#[test]
+fn a_crowded_pixel_takes_several_frames() {
+    let sensor = Sensor {
+        width: 3,
+        height: 2,
+    };
+    let events: Vec<Event> = (0..65_535_u32)
+        .map(|i| Event {
+            t_us: u64::from(i.wrapping_mul(2_654_435_761) >> 17),
+            x: 1,
+            y: 1,
+            polarity: Polarity::from_bool(i % 3 == 0),
+        })
+        .collect();
+    let mut config = strategies::plain_config(sensor, eecvs_nostd::Transform::Dct, 8);
+    config.window.window_us = 1 << 15;
+    let first = events.iter().map(|event| event.t_us).min().expect("some");
+    for coder in [Coder::Fast, Coder::Dense] {
+        let fidelity = Fidelity::Lossless;
+        config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
+        // The window is aligned to its first event: that has to be the earliest.
+        let mut events = events.clone();
+        events.sort_by_key(|event| event.t_us != first);
+        let frames = encode(config, &events, 1 << 17, OUTPUT_BYTES_MIN);
+        assert!(frames.len() > 20);
+        let (windows, report) = decode(&frames);
+        assert!(report.is_clean(), "{report:?}");
+        assert_eq!(windows.len(), 1);
+        assert_eq!(sorted(windows[0].events.clone()), sorted(events));
+    }
+}
