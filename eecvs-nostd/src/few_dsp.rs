@@ -12,10 +12,11 @@ use core::mem::offset_of;
 
 use crate::bits::{BitWriter, Position};
 use crate::fixed_point::CHUNK_EVENTS;
-use crate::group::{Entry, Group};
+use crate::group::{Entry, Group, Impulses};
 use crate::pack::Packer;
 use crate::phase::PhaseScale;
 use crate::transform::rows::{self, Lines};
+use crate::waves_dsp::Waves;
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, Slot};
 use crate::window::{SLOTS_MAX, Window};
 
@@ -44,7 +45,7 @@ struct Walk<'w, 's, 'o> {
     /// Bits of a level of one event, less 2.
     level_bits: u32,
     counts: *const [[u32; 2]; CHUNK_EVENTS + 1],
-    /// The same for one that the assembly leaves to [`seven_long`].
+    /// The same as `limit` for one that the assembly leaves to [`seven_long`].
     limit_long: *mut [u8; 4],
     heads: *mut Head,
     /// Segments in a row, and the columns that they have beyond the sensor's.
@@ -75,6 +76,10 @@ struct Walk<'w, 's, 'o> {
     words: *mut [u8; 4],
     /// Sums that the assembly leaves to [`seven_long`].
     sums: [i32; 7],
+    /// Tally from which on a pixel is not the assembly's.
+    tally_limit: u32,
+    /// Those of the DTFT's pixels.
+    waves: *mut Waves<'w>,
     packer: *mut Packer,
     group: *mut Group,
     window: *mut Window<'s>,
@@ -91,7 +96,12 @@ pub fn walk(
     scale: PhaseScale,
     packer: &mut Packer,
     (writer, room): (&mut BitWriter<'_>, usize),
+    waves: Option<&mut Waves<'_>>,
 ) -> (u32, u32) {
+    let tally_limit = match waves {
+        Some(_) => 2 << 16,
+        None => (CHUNK_EVENTS as u32 + 1) << 16,
+    };
     let (phase_shift, reciprocal) = scale.parts();
     let cells_log2 = packer.cells_log2();
     let (level_shift, one_bits) = packer.level_parts();
@@ -137,7 +147,9 @@ pub fn walk(
         slots_again: slots.as_mut_ptr(),
         position,
         words,
+        tally_limit,
         sums: [0; 7],
+        waves: waves.map_or(core::ptr::null_mut(), |waves| (&raw mut *waves).cast()),
         packer,
         group,
         window,
@@ -247,6 +259,19 @@ unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u3
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
     let on = tally & 0xffff;
     packer.seven_after(gap >> 1, (on, (tally >> 16) - on), &walk.sums, writer);
+}
+
+/// A pixel of two to a chunk's events of the DTFT, whose list begins at `head`; `gap` as there.
+unsafe extern "C" fn several(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32, head: u32) {
+    // SAFETY: see `walk`; nothing else has a reference while this runs, and this is called only where
+    // there are `Waves`.
+    let (waves, packer) = unsafe { (&mut *walk.waves, &mut *walk.packer) };
+    // SAFETY: as above.
+    let (window, writer) = unsafe { (&mut *walk.window, &mut *walk.writer) };
+    packer.count_from_nothing();
+    let pixel = (gap >> 1, tally & 0xffff, tally >> 16);
+    let impulses = Impulses::from_parts(window.slots(), head);
+    waves.encode(pixel, &impulses, packer, writer, &mut ());
 }
 
 /// Appends `$value`, which has no bits beyond its `$bits`, 32 at the most; overwrites `$bits`.
@@ -386,6 +411,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "stm lr!, {{r1-r11}}",
         "ldm r0, {{r1-r3}}",
         "stm lr, {{r1-r3}}",
+        "ldr r1, [r0, #{tally_limit} - {copied}]",
+        "str r1, [sp, #160]",
         "bl 40f",
         "mov r11, #0x8000",
         "mov r8, #0",
@@ -503,7 +530,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "b 6b",
         // Several events. r2: n.
         "5:",
-        "cmp r3, #{crowded}",
+        "ldr r2, [sp, #160]",
+        "cmp r3, r2",
         "bhs 16f",
         "add r11, r11, #0x10000",
         "lsrs r2, r3, #16",
@@ -680,8 +708,26 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldr lr, [sp, #144]",
         "sub r11, r11, #0x10000",
         "sub r11, r11, r3, lsr #16",
-        // More events than a chunk: as it was before the pixel.
+        "b 20f",
+        // Another transform's pixel. r3: tally; lr: first slot.
         "16:",
+        "cmp r3, #{crowded}",
+        "bhs 20f",
+        "ldr r0, [sp, #40]",
+        "cmp r12, r0",
+        "bhs 20f",
+        "add r11, r11, #0x10000",
+        "add r11, r11, r3, lsr #16",
+        "strd r1, r3, [sp, #100]",
+        "str lr, [sp, #108]",
+        "bl 41f",
+        "add r0, sp, #100",
+        "ldm r0, {{r1-r3}}",
+        "ldr r0, [sp, #156]",
+        "bl {several}",
+        "b 10b",
+        // More events than a chunk: as it was before the pixel.
+        "20:",
         "strd lr, r3, [r7, #-8]!",
         "subs r1, r1, r5",
         "rsb r5, r1, #0",
@@ -733,6 +779,9 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "bx lr",
         next_segments = sym next_segments,
         seven_long = sym seven_long,
+        several = sym several,
+        tally_limit = const offset_of!(Walk<'_, '_, '_>, tally_limit),
+        copied = const offset_of!(Walk<'_, '_, '_>, position) - 12,
         single_long = sym single_long,
         crowded = const (CHUNK_EVENTS + 1) << 16,
         first = const FIRST,

@@ -133,7 +133,7 @@ impl Packer {
     /// What [`Self::place`] puts and how many bits, 31 at the most; nothing where these do not hold
     /// it and it has been put.
     #[inline(always)]
-    fn place_code(
+    pub(crate) fn place_code(
         &mut self,
         index: u32,
         (on, off): (u32, u32),
@@ -385,6 +385,25 @@ impl Packer {
         (self.shift, self.one_bits)
     }
 
+    /// Raster index of a pixel.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn index(&self, (x, y): (u16, u16)) -> u32 {
+        u32::from(y) * self.width + u32::from(x)
+    }
+
+    /// Bits of a level of one event.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn one_bits(&self) -> u32 {
+        self.one_bits
+    }
+
+    /// Sets what the next gap is counted from to nothing: a raster index is the gap plus 2^g then,
+    /// before [`Self::go_to`].
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn count_from_nothing(&mut self) {
+        self.gap.before = 0;
+    }
+
     /// Bits of a single event's cell.
     #[inline(always)]
     #[must_use]
@@ -432,7 +451,7 @@ impl Packer {
 ///
 /// Apart: one for all transforms, as the levels are the same list in each.
 #[inline(never)]
-fn put_levels(most: u32, levels: &[u32], spread: u32, writer: &mut BitWriter<'_>) {
+pub(crate) fn put_levels(most: u32, levels: &[u32], spread: u32, writer: &mut BitWriter<'_>) {
     // Never more than `most`: |c| < n, and saturated levels have 32 bits.
     let bits = (width_of(spread) + 1).min(most);
     writer.aside(|writer| {

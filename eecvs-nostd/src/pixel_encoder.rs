@@ -10,9 +10,13 @@ use crate::phase::PhaseScale;
 use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::trace::{Stage, Trace};
+#[cfg(eecvs_dsp)]
+use crate::transform::Dtft;
 use crate::transform::lanes::Lanes;
 use crate::transform::rows::{self, Cosines};
 use crate::transform::{Basis, Dct, Dwt, Rule, Transform, lanes};
+#[cfg(eecvs_dsp)]
+use crate::waves_dsp::{self, Waves};
 use crate::window::{Slot, Window};
 #[cfg(eecvs_dsp)]
 use crate::{few_dsp, lanes_dsp};
@@ -132,7 +136,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             if !T::LISTENS {
                 let room = (&mut *writer, FEW_WORDS_MAX);
                 let (some, places) =
-                    few_dsp::walk((group, window), self.scale, &mut self.packer, room);
+                    few_dsp::walk((group, window), self.scale, &mut self.packer, room, None);
                 events += some;
                 pixels += places;
                 if !writer.has_words(FEW_WORDS_MAX) {
@@ -154,6 +158,67 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
                 2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
                 _ => {
                     let saturates = self.encode_crowded::<Dct, T>(pixel, slots, writer, trace);
+                    saturated = saturated.saturating_add(saturates);
+                }
+            }
+            events += here;
+            pixels += 1;
+        }
+        (events, pixels, saturated)
+    }
+
+    /// Encodes pixels where [`waves_dsp::is_for`] holds while the output has room for any. Returns
+    /// events, pixels, and how many levels saturated.
+    #[cfg(eecvs_dsp)]
+    #[inline(never)]
+    pub(crate) fn encode_waves<T: Trace>(
+        &mut self,
+        group: &mut Group,
+        window: &mut Window<'_>,
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> (u32, u32, u32) {
+        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
+        let words = waves_dsp::words_max(self.shape);
+        while writer.has_words(words) {
+            trace.enter(Stage::Group);
+            let mut waves = Waves {
+                shape: self.shape,
+                scale: self.scale,
+                sums: self.scratch.sums,
+                numbers: self.scratch.magnitudes,
+            };
+            if !T::LISTENS {
+                let room = (&mut *writer, words);
+                let all = (&mut *group, &mut *window);
+                let (some, places) =
+                    few_dsp::walk(all, self.scale, &mut self.packer, room, Some(&mut waves));
+                events += some;
+                pixels += places;
+                if !writer.has_words(words) {
+                    break;
+                }
+            }
+            let Some(pixel) = group.next(window) else {
+                break;
+            };
+            let slots = window.slots();
+            let here = pixel.on + pixel.off;
+            if !T::LISTENS && here <= CHUNK_EVENTS_U32 {
+                // Never: the walk has all of these.
+                group.put_back(pixel);
+                break;
+            }
+            match here {
+                1 => self.encode_single::<Dtft, T>(pixel, slots, writer, trace),
+                2..=CHUNK_EVENTS_U32 => {
+                    let index = self.packer.index((pixel.x, pixel.y));
+                    let impulses = Impulses::new(pixel, slots);
+                    let pixel = (index, pixel.on, here);
+                    waves.encode(pixel, &impulses, &mut self.packer, writer, trace);
+                }
+                _ => {
+                    let saturates = self.encode_crowded::<Dtft, T>(pixel, slots, writer, trace);
                     saturated = saturated.saturating_add(saturates);
                 }
             }

@@ -20,6 +20,10 @@ use core::f64::consts::TAU;
 
 use crate::atom::{cos_of_row, round};
 use crate::fixed_point::{CHUNK_EVENTS, FRACTION_BITS, Phase, Sum, dot_add};
+#[cfg(eecvs_dsp)]
+use crate::group::Impulses;
+#[cfg(eecvs_dsp)]
+use crate::phase::PhaseScale;
 use crate::transform::Impulse;
 
 const ROWS_LOG2: u32 = 10;
@@ -61,6 +65,44 @@ impl Turn {
             start: u32::from(is_on) << 31,
             step: step.to_bits(),
         }
+    }
+}
+
+/// Two events, for sums of some k alone.
+#[cfg(eecvs_dsp)]
+#[derive(Debug)]
+pub struct Two([Turn; 2]);
+
+#[cfg(eecvs_dsp)]
+#[allow(unsafe_code)]
+impl Two {
+    /// The first two impulses, whose phase of k = 1 is u; fewer are made up for.
+    #[inline(always)]
+    pub fn new(impulses: &Impulses<'_>, scale: PhaseScale) -> Self {
+        let mut impulses = impulses.clone();
+        Self([(); 2].map(|()| {
+            let (offset_us, is_on) = match impulses.next() {
+                Some(impulse) => (impulse.offset_us, impulse.is_on),
+                None => (0, false),
+            };
+            let step = scale.half(offset_us).to_bits() << 1;
+            Turn::new(Phase::from_bits(step), is_on)
+        }))
+    }
+
+    /// What the phase of k = 1 of the first is above that of the second.
+    #[inline(always)]
+    pub const fn difference(&self) -> u32 {
+        self.0[0].step.wrapping_sub(self.0[1].step)
+    }
+
+    /// sum p exp(-i k a) for every k of `set`, ascending and side by side in `sums`, which have a
+    /// pair for every k up to the highest; the bits of [`exponentials`].
+    #[inline(always)]
+    pub fn exponentials(&self, set: u32, sums: &mut [Sum]) {
+        // SAFETY: by the sums' length; lines are read at rows below `ROWS + QUARTER`. The build
+        // script sets `eecvs_dsp` only for cores that have the instructions.
+        unsafe { dsp::two_exponentials(set, sums.as_mut_ptr(), &self.0) }
     }
 }
 
@@ -221,6 +263,52 @@ mod dsp {
                 ", #{row_at}\n",
             )
         };
+    }
+
+    /// [`super::Two::exponentials`]: of every k of `set` but 0, ascending.
+    ///
+    /// # Safety
+    /// `sums` has room for as many pairs; the core has the DSP instructions.
+    #[unsafe(naked)]
+    pub(super) unsafe extern "C" fn two_exponentials(set: u32, sums: *mut Sum, turns: &[Turn; 2]) {
+        naked_asm!(
+            "push {{r4-r11, lr}}",
+            "movs r0, r0",
+            "beq 3f",
+            "movw r4, #:lower16:{lines}",
+            "movt r4, #:upper16:{lines}",
+            "add r5, r4, #{imaginary}",
+            "mov r6, #{one}",
+            "ldm r2, {{r2, r3, r12, lr}}",
+            "2:",
+            "rbit r7, r0",
+            "clz r7, r7",
+            "mla r8, r7, r3, r2",
+            "mla r9, r7, lr, r12",
+            "lsrs r7, r8, #{row_at}",
+            "pkhtb r8, r6, r8, asr #{distance_at}",
+            "ldr r10, [r4, r7, lsl #2]",
+            "ldr r11, [r5, r7, lsl #2]",
+            "smuad r10, r10, r8",
+            "smuad r11, r11, r8",
+            "lsrs r7, r9, #{row_at}",
+            "pkhtb r9, r6, r9, asr #{distance_at}",
+            "ldr r8, [r4, r7, lsl #2]",
+            "ldr r7, [r5, r7, lsl #2]",
+            "smlad r10, r8, r9, r10",
+            "smlad r11, r7, r9, r11",
+            "strd r10, r11, [r1], #8",
+            "subs r7, r0, #1",
+            "ands r0, r7",
+            "bne 2b",
+            "3:",
+            "pop {{r4-r11, pc}}",
+            lines = sym LINES,
+            imaginary = const 4 * QUARTER,
+            one = const ONE << 16,
+            row_at = const ROW_AT,
+            distance_at = const DISTANCE_AT,
+        )
     }
 
     /// Adds the next number of the turn to `$sum`, or begins with it.
