@@ -268,10 +268,8 @@ unsafe extern "C" fn several(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32, 
     let (waves, packer) = unsafe { (&mut *walk.waves, &mut *walk.packer) };
     // SAFETY: as above.
     let (window, writer) = unsafe { (&mut *walk.window, &mut *walk.writer) };
-    packer.count_from_nothing();
-    let pixel = (gap >> 1, tally & 0xffff, tally >> 16);
     let impulses = Impulses::from_parts(window.slots(), head);
-    waves.encode(pixel, &impulses, packer, writer, &mut ());
+    waves.encode((gap, tally), &impulses, packer, writer, &mut ());
 }
 
 /// Appends `$value`, which has no bits beyond its `$bits`, 32 at the most; overwrites `$bits`.

@@ -133,7 +133,7 @@ impl Packer {
     /// What [`Self::place`] puts and how many bits, 31 at the most; nothing where these do not hold
     /// it and it has been put.
     #[inline(always)]
-    pub(crate) fn place_code(
+    fn place_code(
         &mut self,
         index: u32,
         (on, off): (u32, u32),
@@ -385,23 +385,19 @@ impl Packer {
         (self.shift, self.one_bits)
     }
 
-    /// Raster index of a pixel.
+    /// Goes to a pixel; returns its gap plus 2^g.
     #[cfg(eecvs_dsp)]
-    pub(crate) fn index(&self, (x, y): (u16, u16)) -> u32 {
-        u32::from(y) * self.width + u32::from(x)
+    pub(crate) fn step(&mut self, (x, y): (u16, u16)) -> u32 {
+        self.gap.step(u32::from(y) * self.width + u32::from(x))
     }
 
-    /// Bits of a level of one event.
+    /// [`Self::place`] of a pixel whose gap plus 2^g is `shifted`.
     #[cfg(eecvs_dsp)]
-    pub(crate) const fn one_bits(&self) -> u32 {
-        self.one_bits
-    }
-
-    /// Sets what the next gap is counted from to nothing: a raster index is the gap plus 2^g then,
-    /// before [`Self::go_to`].
-    #[cfg(eecvs_dsp)]
-    pub(crate) const fn count_from_nothing(&mut self) {
-        self.gap.before = 0;
+    pub(crate) fn place_after(&self, shifted: u32, counts: (u32, u32), writer: &mut BitWriter<'_>) {
+        let mut packer = *self;
+        packer.gap.before = 0;
+        let (code, bits) = packer.place_code(shifted, counts, writer);
+        writer.put_clean(code, bits);
     }
 
     /// Bits of a single event's cell.

@@ -182,12 +182,8 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         let words = waves_dsp::words_max(self.shape);
         while writer.has_words(words) {
             trace.enter(Stage::Group);
-            let mut waves = Waves {
-                shape: self.shape,
-                scale: self.scale,
-                sums: self.scratch.sums,
-                numbers: self.scratch.magnitudes,
-            };
+            let memory = (&mut *self.scratch.sums, &mut *self.scratch.magnitudes);
+            let mut waves = Waves::new(self.shape, self.scale, memory, &self.packer);
             if !T::LISTENS {
                 let room = (&mut *writer, words);
                 let all = (&mut *group, &mut *window);
@@ -212,10 +208,10 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             match here {
                 1 => self.encode_single::<Dtft, T>(pixel, slots, writer, trace),
                 2..=CHUNK_EVENTS_U32 => {
-                    let index = self.packer.index((pixel.x, pixel.y));
+                    let gap = 2 * self.packer.step((pixel.x, pixel.y)) + 1;
+                    let tally = (here << 16) | pixel.on;
                     let impulses = Impulses::new(pixel, slots);
-                    let pixel = (index, pixel.on, here);
-                    waves.encode(pixel, &impulses, &mut self.packer, writer, trace);
+                    waves.encode((gap, tally), &impulses, &self.packer, writer, trace);
                 }
                 _ => {
                     let saturates = self.encode_crowded::<Dtft, T>(pixel, slots, writer, trace);

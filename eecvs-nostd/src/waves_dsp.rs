@@ -8,7 +8,7 @@ use core::arch::naked_asm;
 use core::mem::offset_of;
 
 use crate::bits::{BitWriter, Position};
-use crate::fixed_point::Sum;
+use crate::fixed_point::{Coefficient, FRACTION_BITS, Sum};
 use crate::group::Impulses;
 use crate::pack::{Packer, put_levels};
 use crate::packing::{Packing, Shape, width_of};
@@ -32,32 +32,80 @@ const PLACE_WORDS_MAX: usize = 4 + 1 + 1 + 1;
 /// What pixels of a frame have in common, and memory lent for their sums.
 #[derive(Debug)]
 pub struct Waves<'e> {
-    pub shape: Shape,
-    pub scale: PhaseScale,
+    shape: Shape,
+    scale: PhaseScale,
     /// 2K sums.
-    pub sums: &'e mut [Sum],
+    sums: &'e mut [Sum],
     /// Room for 2K numbers.
-    pub numbers: &'e mut [u32],
+    numbers: &'e mut [u32],
+    common: Common,
 }
+
+/// What [`put_pixel`] knows.
+#[derive(Debug)]
+#[repr(C)]
+struct Common {
+    sums: *const Sum,
+    position: *mut Position,
+    words: *mut [u8; 4],
+    /// From sums to levels.
+    shift: u32,
+    /// Bits of a level of one event.
+    one_bits: u32,
+    grid: u32,
+    r: u32,
+    /// Zeros before 2 2^g + 1, for a gap code of order g.
+    gap_zeros: u32,
+}
+
+const _: () = assert!(offset_of!(Common, position) == 4 && offset_of!(Common, shift) == 12);
+const _: () = assert!(offset_of!(Common, grid) == 20 && offset_of!(Common, gap_zeros) == 28);
 
 /// Words that a pixel takes at the most, with levels of up to 32 bits.
 pub const fn words_max(shape: Shape) -> usize {
     PLACE_WORDS_MAX + 2 * shape.r
 }
 
-impl Waves<'_> {
-    /// Encodes a pixel of 2 to a chunk of events at a raster index. The output has room for it.
+impl<'e> Waves<'e> {
+    pub fn new(
+        shape: Shape,
+        scale: PhaseScale,
+        (sums, numbers): (&'e mut [Sum], &'e mut [u32]),
+        packer: &Packer,
+    ) -> Self {
+        let (shift, one_bits) = packer.level_parts();
+        let (order, _) = packer.gap_parts();
+        let common = Common {
+            sums: core::ptr::null(),
+            position: core::ptr::null_mut(),
+            words: core::ptr::null_mut(),
+            shift,
+            one_bits,
+            grid: shape.grid as u32,
+            r: shape.r as u32,
+            gap_zeros: 30_u32.wrapping_sub(order),
+        };
+        Self {
+            shape,
+            scale,
+            sums,
+            numbers,
+            common,
+        }
+    }
+
+    /// Encodes a pixel of 2 to a chunk of events: `gap` is twice its gap plus 2^g, and 1; `tally` its
+    /// events in the upper half and those that are ON in the lower. The output has room for it.
     #[inline(always)]
     pub fn encode<T: Trace>(
         &mut self,
-        (index, on, events): (u32, u32, u32),
+        (gap, tally): (u32, u32),
         impulses: &Impulses<'_>,
-        packer: &mut Packer,
+        packer: &Packer,
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) {
-        let Shape { grid, r, quantiser } = self.shape;
-        let shift = quantiser.shift() & 31;
+        let (events, on) = (tally >> 16, tally & 0xffff);
         let mut kept = 0;
         if events == 2 {
             trace.enter(Stage::Prune);
@@ -68,12 +116,10 @@ impl Waves<'_> {
         }
         if kept == 0 {
             trace.enter(Stage::Accumulate);
-            Dtft::accumulate(impulses.clone(), self.scale, grid, self.sums);
+            Dtft::accumulate(impulses.clone(), self.scale, self.shape.grid, self.sums);
             if let Some(zeroth) = self.sums.first_chunk_mut() {
-                *zeroth = [
-                    Sum::from_bits((2 * on).wrapping_sub(events).cast_signed() << 25),
-                    Sum::ZERO,
-                ];
+                let sum = (2 * on).wrapping_sub(events).cast_signed();
+                *zeroth = [Sum::from_integer(sum), Sum::ZERO];
             }
             trace.enter(Stage::Prune);
             kept = prune_dsp::largest(self.sums, events, self.shape, self.numbers);
@@ -81,53 +127,60 @@ impl Waves<'_> {
             // SAFETY: the set has no index of K or above, and there are 2K sums.
             unsafe { gather(self.sums.as_mut_ptr(), kept & !1) };
         }
-        trace.enter(Stage::Quantise);
-        let pairs = r as u32 - (kept & 1);
-        // SAFETY: the pairs are those that have just been written.
-        let spread = unsafe { spread(self.sums.as_ptr(), pairs) } >> shift;
         trace.enter(Stage::Pack);
-        let is_low = kept == !(u32::MAX << (r as u32 & 31));
-        let (code, code_bits) = packer.place_code(index, (on, events - on), writer);
-        let code = code | (u32::from(is_low) << (code_bits & 31));
-        let code_bits = code_bits + 1;
-        let (set, set_bits) = if is_low { (0, 0) } else { (kept, grid as u32) };
-        // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
-        let most = width_of(events - 1) + packer.one_bits();
-        let bits = width_of(spread) + 1;
-        if bits > PAIR_BITS_MAX || pairs == 0 {
-            writer.put_clean(code, code_bits);
-            writer.put_clean(set, set_bits);
-            let Some(levels) = self.numbers.get_mut(..2 * pairs as usize) else {
-                return;
-            };
-            for (level, sum) in levels.iter_mut().zip(&*self.sums) {
-                *level = (sum.to_bits() >> shift).cast_unsigned();
-            }
-            if pairs > 0 {
-                put_levels(most, levels, spread, writer);
-            }
-            return;
-        }
-        let zeros = most - bits;
-        let fields = Fields {
-            code,
-            code_bits,
-            set,
-            set_bits,
-            width: 1 << (zeros & 31),
-            width_bits: zeros + 1,
-            sums: self.sums.as_ptr(),
-            pairs,
-            shift,
-            bits,
+        self.common.sums = self.sums.as_ptr();
+        // SAFETY: the pointer is that of the reference. `put_pixel` reads a pair for every k of the
+        // set but 0, which have just been written, and writes the position and fewer words from there
+        // on than there is room for. The build script sets `eecvs_dsp` only for cores that have the
+        // instructions.
+        let is_put = unsafe {
+            let writer: *mut BitWriter<'_> = writer;
+            (self.common.position, self.common.words, _) = BitWriter::raw_parts(writer);
+            put_pixel(&self.common, gap, tally, kept)
         };
-        let writer: *mut BitWriter<'_> = writer;
-        // SAFETY: the pointer is that of the reference. `put_fields` reads the pairs and writes the
-        // position and fewer words from there on than there is room for. The build script sets
-        // `eecvs_dsp` only for cores that have the instructions.
-        unsafe {
-            let (position, words, _) = BitWriter::raw_parts(writer);
-            put_fields(&fields, &mut *position, words);
+        if !is_put {
+            self.put_long((gap >> 1, tally), kept, packer, writer);
+        }
+    }
+
+    /// What [`put_pixel`] leaves: wide levels, none, or a long place.
+    #[cold]
+    #[inline(never)]
+    fn put_long(
+        &mut self,
+        (shifted, tally): (u32, u32),
+        kept: u32,
+        packer: &Packer,
+        writer: &mut BitWriter<'_>,
+    ) {
+        let (events, on) = (tally >> 16, tally & 0xffff);
+        let Common {
+            shift,
+            one_bits,
+            grid,
+            r,
+            ..
+        } = self.common;
+        packer.place_after(shifted, (on, events - on), writer);
+        if kept == !(u32::MAX << (r & 31)) {
+            writer.put_clean(1, 1);
+        } else {
+            writer.put_clean(0, 1);
+            writer.put_clean(kept, grid);
+        }
+        let len = 2 * (r - (kept & 1)) as usize;
+        let mut spread = 0;
+        for (level, sum) in self.numbers.iter_mut().zip(&*self.sums).take(len) {
+            let value = sum.to_bits() >> (shift & 31);
+            *level = value.cast_unsigned();
+            spread |= (value ^ (value >> 31)).cast_unsigned();
+        }
+        if let Some(levels) = self.numbers.get(..len)
+            && len > 0
+        {
+            // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
+            let most = width_of(events - 1) + one_bits;
+            put_levels(most, levels, spread, writer);
         }
     }
 }
@@ -161,64 +214,6 @@ unsafe extern "C" fn gather(sums: *mut Sum, set: u32) {
     )
 }
 
-/// The bits that are not copies of the sign, of any of the numbers.
-///
-/// # Safety
-/// `sums` has `pairs` pairs.
-#[unsafe(naked)]
-unsafe extern "C" fn spread(sums: *const Sum, pairs: u32) -> u32 {
-    naked_asm!(
-        "push {{r4-r6, lr}}",
-        "mov r12, r0",
-        "movs r0, #0",
-        "subs r1, #2",
-        "blo 3f",
-        "2:",
-        "ldm r12!, {{r2-r5}}",
-        "eor r2, r2, r2, asr #31",
-        "orrs r0, r2",
-        "eor r3, r3, r3, asr #31",
-        "orrs r0, r3",
-        "eor r4, r4, r4, asr #31",
-        "orrs r0, r4",
-        "eor r5, r5, r5, asr #31",
-        "orrs r0, r5",
-        "subs r1, #2",
-        "bhs 2b",
-        "3:",
-        "adds r1, #2",
-        "beq 4f",
-        "ldrd r2, r3, [r12]",
-        "eor r2, r2, r2, asr #31",
-        "orrs r0, r2",
-        "eor r3, r3, r3, asr #31",
-        "orrs r0, r3",
-        "4:",
-        "pop {{r4-r6, pc}}",
-    )
-}
-
-/// What [`put_fields`] puts, in this order: three values that have no bits beyond theirs, 32 at the
-/// most, and the sums' levels.
-#[derive(Debug)]
-#[repr(C)]
-struct Fields {
-    code: u32,
-    code_bits: u32,
-    set: u32,
-    set_bits: u32,
-    width: u32,
-    width_bits: u32,
-    sums: *const Sum,
-    /// 1 or more.
-    pairs: u32,
-    shift: u32,
-    /// Bits of a level, 1 to [`PAIR_BITS_MAX`].
-    bits: u32,
-}
-
-const _: () = assert!(offset_of!(Fields, sums) == 24);
-
 /// Appends `$value`; overwrites `$bits`, which it has no bits beyond.
 ///
 /// r9: bits of the next word; r8: 0; r10: the bit where the value goes; r12: where the word goes;
@@ -251,75 +246,177 @@ macro_rules! put {
     };
 }
 
+/// Four sums from r2 on to levels side by side in r0. r7: shift; r5: 2^bits; r3: the highest bit of
+/// each level.
+macro_rules! four {
+    () => {
+        "ldm r2!, {{r0, r1, r11, lr}}
+        asrs r0, r7
+        asrs r1, r7
+        asr r11, r11, r7
+        asr lr, lr, r7
+        mla r11, lr, r5, r11
+        mla r1, r11, r5, r1
+        mla r0, r1, r5, r0
+        adds r0, r0, r3
+        eors r0, r3"
+    };
+}
+
+/// Puts a pixel of 2 to a chunk of events, whose pairs of sums of `kept` but k = 0 stand side by side;
+/// `gap` and `tally` as [`Waves::encode`] has them. `false`, and nothing has changed, where levels have
+/// over 16 bits, there are none, or the place has over 31 bits.
+///
 /// # Safety
 /// There are the words from the position on, and the pairs.
 #[unsafe(naked)]
-unsafe extern "C" fn put_fields(fields: &Fields, position: &mut Position, words: *mut [u8; 4]) {
+unsafe extern "C" fn put_pixel(common: &Common, gap: u32, tally: u32, kept: u32) -> bool {
     naked_asm!(
-        "push {{r0-r2, r4-r11, lr}}",
-        "ldm r1, {{r1, r9, r10}}",
-        "add r12, r2, r1, lsl #2",
-        "rsb r10, r10, #32",
-        "movs r1, #1",
-        "lsl r10, r1, r10",
-        "mov r8, #0",
-        "ldm r0!, {{r1-r6}}",
-        put!("r1", "r2"),
-        put!("r3", "r4"),
-        put!("r5", "r6"),
-        // r2: sums; r3: pairs; r7: shift; r6: bits of a level.
-        "ldm r0, {{r2, r3, r7}}",
-        "ldr r6, [r0, #12]",
-        // r4: 2^bits; r5: the highest bit of each of two levels, later of four.
-        "movs r1, #1",
-        "lsl r4, r1, r6",
-        "lsrs r1, r4, #1",
-        "mla r5, r1, r4, r1",
-        "cmp r6, #{four_bits_max}",
-        "bhi 5f",
-        "subs r3, #2",
-        "blo 4f",
-        "mla r5, r5, r4, r1",
-        "mla r5, r5, r4, r1",
-        "lsls r6, r6, #2",
+        "push {{r0, r4-r11, lr}}",
+        // r4: pairs; r6: n; r7: zeros before n - 1.
+        "ldr r12, [r0]",
+        "ldr r4, [r0, #24]",
+        "and r5, r3, #1",
+        "subs r4, r4, r5",
+        "beq 9f",
+        "lsrs r6, r2, #16",
+        "subs r7, r6, #1",
+        "clz r7, r7",
+        // r5: the bits that are not copies of the sign, until there is the highest that |c| < n has.
+        "rsb r8, r7, #{fraction_bits} + 31",
+        "movs r5, #0",
+        "mov r9, r4",
         "3:",
-        "ldm r2!, {{r0, r1, r11, lr}}",
-        "asrs r0, r7",
-        "asrs r1, r7",
-        "asr r11, r11, r7",
-        "asr lr, lr, r7",
-        "mla r11, lr, r4, r11",
-        "mla r1, r11, r4, r1",
-        "mla r0, r1, r4, r0",
-        // A negative level has borrowed from its neighbour, which half of a range more gives back.
-        "adds r0, r0, r5",
-        "eors r0, r5",
+        "ldrd r10, r11, [r12], #8",
+        "eor r10, r10, r10, asr #31",
+        "orr r5, r5, r10",
+        "eor r11, r11, r11, asr #31",
+        "orr r5, r5, r11",
+        "lsrs r10, r5, r8",
+        "bne 4f",
+        "subs r9, #1",
+        "bne 3b",
+        "4:",
+        // r9: bits of a level; lr: zeros before them.
+        "ldrd r8, r10, [r0, #12]",
+        "lsrs r5, r8",
+        "clz r5, r5",
+        "rsb r9, r5, #33",
+        "cmp r9, #{pair_bits_max}",
+        "bhi 9f",
+        "sub r10, r10, r7",
+        "sub r10, r10, r9",
+        "add lr, r10, #32",
+        // The gap's code in r1, with a 1 above it; r5: its bits.
+        "ldr r5, [r0, #28]",
+        "clz r7, r1",
+        "subs r5, r5, r7",
+        "lsls r1, r5",
+        "subs r5, r5, r7",
+        "adds r5, #31",
+        // n, whose code has its 1 from the gap's. r7: log2 of n.
+        "clz r7, r6",
+        "rsb r7, r7, #31",
+        "lsls r6, r6, #1",
+        "adds r6, #1",
+        "lsls r6, r7",
+        "subs r6, #1",
+        "lsls r6, r5",
+        "adds r1, r1, r6",
+        "add r5, r5, r7, lsl #1",
+        "adds r5, #1",
+        // ON events, with the 1 above n's code taken off.
+        "uxth r2, r2",
+        "subs r2, #1",
+        "lsls r2, r5",
+        "adds r1, r1, r2",
+        "adds r5, r5, r7",
+        "adds r5, #1",
+        "cmp r5, #31",
+        "bhi 9f",
+        // The set, of which a bit is enough where it is the lowest k.
+        "ldrd r7, r6, [r0, #20]",
+        "movs r2, #1",
+        "lsl r6, r2, r6",
+        "subs r6, #1",
+        "cmp r3, r6",
+        "bne 5f",
+        "lsls r2, r5",
+        "orrs r1, r2",
+        "movs r3, #0",
+        "movs r7, #0",
+        "5:",
+        "adds r5, #1",
+        // The output's state.
+        "mov r6, r9",
+        "ldrd r2, r8, [r0, #4]",
+        "ldm r2, {{r2, r9, r10}}",
+        "add r12, r8, r2, lsl #2",
+        "rsb r10, r10, #32",
+        "movs r2, #1",
+        "lsl r10, r2, r10",
+        "mov r8, #0",
+        put!("r1", "r5"),
+        put!("r3", "r7"),
+        "lsl r1, r2, lr",
+        "add lr, lr, #1",
+        put!("r1", "lr"),
+        // r2: sums; r4: pairs; r7: shift; r6: bits of a level; r5: 2^bits; r3: the highest bit of each
+        // of two levels, later of four.
+        "lsl r5, r2, r6",
+        "ldr r2, [r0]",
+        "ldr r7, [r0, #12]",
+        "lsrs r1, r5, #1",
+        "mla r3, r1, r5, r1",
+        "cmp r6, #{four_bits_max}",
+        "bhi 7f",
+        "subs r4, #2",
+        "blo 6f",
+        "mla r3, r3, r5, r1",
+        "mla r3, r3, r5, r1",
+        "lsls r6, r6, #2",
+        "cmp r6, #32",
+        "beq 10f",
+        "3:",
+        four!(),
         "mov r1, r6",
         put!("r0", "r1"),
-        "subs r3, #2",
+        "subs r4, #2",
         "bhs 3b",
-        "lsrs r6, r6, #2",
-        "lsrs r1, r4, #1",
-        "mla r5, r1, r4, r1",
+        "b 4f",
+        // Whole words.
+        "10:",
+        four!(),
+        "umlal r9, r8, r0, r10",
+        "str r9, [r12], #4",
+        "mov r9, r8",
+        "mov r8, #0",
+        "subs r4, #2",
+        "bhs 10b",
         "4:",
-        "adds r3, #2",
-        "beq 6f",
+        "lsrs r6, r6, #2",
+        "lsrs r1, r5, #1",
+        "mla r3, r1, r5, r1",
+        "6:",
+        "adds r4, #2",
+        "beq 8f",
         // By pairs.
-        "5:",
-        "lsls r6, r6, #1",
         "7:",
+        "lsls r6, r6, #1",
+        "5:",
         "ldrd r0, r1, [r2], #8",
         "asrs r0, r7",
         "asrs r1, r7",
-        "mla r0, r1, r4, r0",
-        "adds r0, r0, r5",
-        "eors r0, r5",
+        "mla r0, r1, r5, r0",
+        "adds r0, r0, r3",
+        "eors r0, r3",
         "mov r1, r6",
         put!("r0", "r1"),
-        "subs r3, #1",
-        "bne 7b",
-        "6:",
-        "ldrd r1, r2, [sp, #4]",
+        "subs r4, #1",
+        "bne 5b",
+        "8:",
+        "ldr r0, [sp]",
+        "ldrd r1, r2, [r0, #4]",
         "sub r2, r12, r2",
         "lsrs r2, r2, #2",
         "rbit r3, r10",
@@ -327,8 +424,15 @@ unsafe extern "C" fn put_fields(fields: &Fields, position: &mut Position, words:
         "rsb r3, r3, #32",
         "stm r1, {{r2, r9}}",
         "str r3, [r1, #8]",
-        "add sp, #12",
+        "movs r0, #1",
+        "add sp, #4",
         "pop {{r4-r11, pc}}",
+        "9:",
+        "movs r0, #0",
+        "add sp, #4",
+        "pop {{r4-r11, pc}}",
+        fraction_bits = const FRACTION_BITS,
+        pair_bits_max = const PAIR_BITS_MAX,
         four_bits_max = const FOUR_BITS_MAX,
     )
 }
