@@ -282,8 +282,21 @@ impl Packer {
         });
     }
 
+    /// [`Self::place`], one for all that are in no hurry.
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    pub(crate) fn place_apart(
+        &mut self,
+        position: (u16, u16),
+        counts: (u32, u32),
+        writer: &mut BitWriter<'_>,
+    ) {
+        self.place(position, counts, writer);
+    }
+
     /// Which coefficients are sent, for the transforms that keep the largest.
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     pub fn set(&self, kept: &Kept, writer: &mut BitWriter<'_>) {
         let grid = usize::from(self.packing.grid);
         let words = kept.words(grid);

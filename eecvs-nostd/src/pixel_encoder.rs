@@ -455,9 +455,13 @@ impl Rest<'_> {
         let mut levels = Levels::new(self.magnitudes);
         B::quantise(sums, shape, self.kept, &mut levels);
         trace.enter(Stage::Pack);
-        self.packer.place((pixel.x, pixel.y), counts, writer);
+        let position = (pixel.x, pixel.y);
         if is_pruned {
+            // In an image most of these pixels have code of their own.
+            self.packer.place_apart(position, counts, writer);
             self.packer.set(self.kept, writer);
+        } else {
+            self.packer.place(position, counts, writer);
         }
         self.packer.levels(events, &levels, writer);
         levels.saturated()

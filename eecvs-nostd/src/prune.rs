@@ -93,7 +93,8 @@ pub fn low_frequency(r: usize, kept: &mut Kept) {
 ///
 /// Everything above the r-th largest value is kept, and the places left go to its equals from k = 0
 /// up. At most 34 passes over the keys.
-#[inline(always)]
+#[cfg_attr(eecvs_dsp, inline(never))]
+#[cfg_attr(not(eecvs_dsp), inline(always))]
 pub fn largest(keys: &[u32], r: usize, kept: &mut Kept) {
     if r >= keys.len() {
         return low_frequency(keys.len(), kept);
