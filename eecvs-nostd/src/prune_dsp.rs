@@ -30,6 +30,11 @@ const SQUARES: Search = Search {
     first: 0x4040_4040,
     lowest: 0,
 };
+/// Within a byte of those all are as likely.
+const REST: Search = Search {
+    first: 0x8080_8080,
+    lowest: 0,
+};
 /// Distances on a circle are as likely one as the other.
 const DISTANCES: Search = Search {
     first: 0x8080_8080,
@@ -63,7 +68,7 @@ fn of_two_in<const W: usize>(difference: u32, is_same: bool, grid: usize, r: u32
     // SAFETY: `distances` writes as many words as it is told, 1 to W: see `is_for`. The build script
     // sets `eecvs_dsp` only for cores that have the instructions.
     unsafe { distances(lanes.as_mut_ptr(), difference, start, grid / 4) };
-    separate(&lanes, r, DISTANCES)
+    separate(&mut lanes, r, DISTANCES)
 }
 
 /// The r largest |c_k| of a pixel's pairs of sums of up to a chunk of `events`, as a bit each, ties
@@ -88,32 +93,46 @@ fn largest_in<const W: usize>(sums: &[Sum], events: u32, shape: Shape, keys: &mu
     let shift = events.leading_zeros().wrapping_sub(26);
     // SAFETY: `squares` reads 2K sums and writes K keys and K / 4 words, 1 to W: see `is_for`. The
     // build script sets `eecvs_dsp` only for cores that have the instructions.
-    unsafe {
+    let mut below = unsafe {
         squares(
             sums.as_ptr(),
             keys.as_mut_ptr(),
             grid,
             shift & 31,
             lanes.as_mut_ptr(),
-        );
-    }
-    match separate(&lanes, r as u32, SQUARES) {
-        0 => prune::largest_bits(keys, r as u32),
-        kept => kept,
+        )
+    };
+    let (mut base, mut search) = (0, SQUARES);
+    loop {
+        let kept = separate(&mut lanes, r as u32, search);
+        if kept != 0 {
+            return kept;
+        }
+        if below == 0 {
+            // Equal ones.
+            return prune::largest_bits(keys, r as u32);
+        }
+        // More than r have this byte or a higher one, fewer a higher one: the eight bits below it.
+        base += (lanes[0] & 0xff) << (below & 31);
+        below = below.saturating_sub(8);
+        search = REST;
+        // SAFETY: as above.
+        unsafe { zoom(keys.as_ptr(), lanes.as_mut_ptr(), grid, base, below) };
     }
 }
 
-/// The `r` bytes of `lanes` that are above all others, as a bit each; 0 where none was found.
+/// The `r` bytes of `lanes` that are above all others, as a bit each; 0 where none was found, and in
+/// every byte of the first word one that more than r reach.
 #[inline(always)]
-fn separate<const W: usize>(lanes: &[u32; W], r: u32, search: Search) -> u32 {
+fn separate<const W: usize>(lanes: &mut [u32; W], r: u32, search: Search) -> u32 {
     let Search { first, lowest } = search;
-    // SAFETY: both read W words. The build script sets `eecvs_dsp` only for cores that have the
+    // SAFETY: both read W words and write the first. The build script sets `eecvs_dsp` only for cores that have the
     // instructions.
     unsafe {
         if W == 4 {
-            separate_16(lanes.as_ptr(), r, first, lowest)
+            separate_16(lanes.as_mut_ptr(), r, first, lowest)
         } else {
-            separate_32(lanes.as_ptr(), r, first, lowest)
+            separate_32(lanes.as_mut_ptr(), r, first, lowest)
         }
     }
 }
@@ -160,7 +179,7 @@ unsafe extern "C" fn distances(lanes: *mut u32, difference: u32, start: u32, wor
 }
 
 /// re^2 + im^2 of every pair as [`crate::transform::Dtft`] has it, and the upper 8 bits of each in a
-/// byte.
+/// byte. Returns how many bits are below those.
 ///
 /// # Safety
 /// `sums` has 2 `grid` numbers, `keys` has room for `grid`, `lanes` for a quarter of them, and `grid`
@@ -172,7 +191,7 @@ unsafe extern "C" fn squares(
     grid: usize,
     shift: u32,
     lanes: *mut u32,
-) {
+) -> u32 {
     naked_asm!(
         "push {{r4-r9, lr}}",
         "mov r8, r1",
@@ -211,7 +230,41 @@ unsafe extern "C" fn squares(
         "str r4, [r1], #4",
         "subs r9, #4",
         "bne 3b",
+        "mov r0, r3",
         "pop {{r4-r9, pc}}",
+    )
+}
+
+/// (key - `base`) / 2^`shift` of every key, cut to a byte.
+///
+/// # Safety
+/// `keys` has `grid` numbers, `lanes` room for a quarter of them, and `grid` is a multiple of 4 above 0.
+#[unsafe(naked)]
+unsafe extern "C" fn zoom(keys: *const u32, lanes: *mut u32, grid: usize, base: u32, shift: u32) {
+    macro_rules! byte {
+        ($key:literal) => {
+            concat!(
+                "subs ", $key, ", ", $key, ", r3\n", "asr ", $key, ", ", $key, ", r12\n", "usat ",
+                $key, ", #8, ", $key, "\n",
+            )
+        };
+    }
+    naked_asm!(
+        "push {{r4-r7, lr}}",
+        "ldr r12, [sp, #20]",
+        "2:",
+        "ldm r0!, {{r4-r7}}",
+        byte!("r4"),
+        byte!("r5"),
+        byte!("r6"),
+        byte!("r7"),
+        "orr r4, r4, r5, lsl #8",
+        "orr r4, r4, r6, lsl #16",
+        "orr r4, r4, r7, lsl #24",
+        "str r4, [r1], #4",
+        "subs r2, #4",
+        "bne 2b",
+        "pop {{r4-r7, pc}}",
     )
 }
 
@@ -286,7 +339,7 @@ macro_rules! bits {
 /// # Safety
 /// `lanes` has 4 words.
 #[unsafe(naked)]
-unsafe extern "C" fn separate_16(lanes: *const u32, r: u32, first: u32, lowest: u32) -> u32 {
+unsafe extern "C" fn separate_16(lanes: *mut u32, r: u32, first: u32, lowest: u32) -> u32 {
     macro_rules! count {
         () => {
             concat!(
@@ -317,6 +370,7 @@ unsafe extern "C" fn separate_16(lanes: *const u32, r: u32, first: u32, lowest: 
         "cmp r2, r8",
         "bne 2b",
         "3:",
+        "str r8, [r0]",
         "movs r0, #0",
         "pop {{r4-r11, pc}}",
         "4:",
@@ -345,7 +399,7 @@ unsafe extern "C" fn separate_16(lanes: *const u32, r: u32, first: u32, lowest: 
 /// # Safety
 /// `lanes` has 8 words.
 #[unsafe(naked)]
-unsafe extern "C" fn separate_32(lanes: *const u32, r: u32, first: u32, lowest: u32) -> u32 {
+unsafe extern "C" fn separate_32(lanes: *mut u32, r: u32, first: u32, lowest: u32) -> u32 {
     macro_rules! count {
         () => {
             concat!(
@@ -364,10 +418,10 @@ unsafe extern "C" fn separate_32(lanes: *const u32, r: u32, first: u32, lowest: 
     naked_asm!(
         "push {{r4-r11, lr}}",
         "mvn r12, r3",
-        // At sp: what more than r reach, what fewer do, and the lowest.
+        // At sp: the lowest, lanes, what more than r reach, what fewer do.
         "push {{r3, r12}}",
         "sub sp, #8",
-        "str r3, [sp]",
+        "strd r3, r0, [sp]",
         "ldm r0, {{r4-r11}}",
         "mov r3, #0x01010101",
         "movs r0, #0",
@@ -383,7 +437,8 @@ unsafe extern "C" fn separate_32(lanes: *const u32, r: u32, first: u32, lowest: 
         "cmp r2, r12",
         "bne 2b",
         "3:",
-        "movs r0, #0",
+        "ldrd r1, r2, [sp, #4]",
+        "str r2, [r1]",
         "6:",
         "add sp, #16",
         "pop {{r4-r11, pc}}",

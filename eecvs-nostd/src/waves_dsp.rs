@@ -5,18 +5,19 @@
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
-use core::mem::offset_of;
+use core::mem::{MaybeUninit, offset_of};
 
 use crate::bits::{BitWriter, Position};
-use crate::fixed_point::{Coefficient, FRACTION_BITS, Sum};
+use crate::fixed_point::{CHUNK_EVENTS, Coefficient, FRACTION_BITS, Sum};
 use crate::group::Impulses;
 use crate::pack::{Packer, put_levels};
 use crate::packing::{Packing, Shape, width_of};
 use crate::phase::PhaseScale;
 use crate::prune_dsp;
 use crate::trace::{Stage, Trace};
-use crate::transform::wave::Two;
-use crate::transform::{Basis, Dtft, Transform};
+use crate::transform::Transform;
+use crate::transform::wave::{self, Turn};
+use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
 
 /// Whether [`Waves`] are for this frame.
 pub fn is_for(packing: &Packing) -> bool {
@@ -33,7 +34,6 @@ const PLACE_WORDS_MAX: usize = 4 + 1 + 1 + 1;
 #[derive(Debug)]
 pub struct Waves<'e> {
     shape: Shape,
-    scale: PhaseScale,
     /// 2K sums.
     sums: &'e mut [Sum],
     /// Room for 2K numbers.
@@ -56,10 +56,17 @@ struct Common {
     r: u32,
     /// Zeros before 2 2^g + 1, for a gap code of order g.
     gap_zeros: u32,
+    /// From an offset to u / 2: [`PhaseScale::parts`].
+    phase_shift: u32,
+    reciprocal: u32,
 }
 
+// What the assembly takes for granted.
+const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000 && NEXT_SHIFT == 16);
+const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Turn>() == 8);
 const _: () = assert!(offset_of!(Common, position) == 4 && offset_of!(Common, shift) == 12);
 const _: () = assert!(offset_of!(Common, grid) == 20 && offset_of!(Common, gap_zeros) == 28);
+const _: () = assert!(offset_of!(Common, phase_shift) == 32);
 
 /// Words that a pixel takes at the most, with levels of up to 32 bits.
 pub const fn words_max(shape: Shape) -> usize {
@@ -75,6 +82,7 @@ impl<'e> Waves<'e> {
     ) -> Self {
         let (shift, one_bits) = packer.level_parts();
         let (order, _) = packer.gap_parts();
+        let (phase_shift, reciprocal) = scale.parts();
         let common = Common {
             sums: core::ptr::null(),
             position: core::ptr::null_mut(),
@@ -84,10 +92,11 @@ impl<'e> Waves<'e> {
             grid: shape.grid as u32,
             r: shape.r as u32,
             gap_zeros: 30_u32.wrapping_sub(order),
+            phase_shift,
+            reciprocal,
         };
         Self {
             shape,
-            scale,
             sums,
             numbers,
             common,
@@ -106,17 +115,26 @@ impl<'e> Waves<'e> {
         trace: &mut T,
     ) {
         let (events, on) = (tally >> 16, tally & 0xffff);
+        trace.enter(Stage::Accumulate);
+        let mut memory = [const { MaybeUninit::uninit() }; CHUNK_EVENTS];
+        let (slots, head) = impulses.parts();
+        // SAFETY: the list is the group's, of up to a chunk of events of this window, and has some:
+        // `turns_of` writes as many turns.
+        let turns = unsafe {
+            turns_of(&self.common, slots.as_ptr(), head, memory.as_mut_ptr());
+            core::slice::from_raw_parts(memory.as_ptr().cast::<Turn>(), events as usize)
+        };
         let mut kept = 0;
-        if events == 2 {
+        if let [a, b] = turns {
             trace.enter(Stage::Prune);
-            let two = Two::new(impulses, self.scale);
-            kept = prune_dsp::of_two(two.difference(), on != 1, self.shape);
+            kept = prune_dsp::of_two(a.ahead_of(b), on != 1, self.shape);
             trace.enter(Stage::Accumulate);
-            two.exponentials(kept & !1, self.sums);
+            wave::two_exponentials(kept & !1, [a, b], self.sums);
         }
         if kept == 0 {
             trace.enter(Stage::Accumulate);
-            Dtft::accumulate(impulses.clone(), self.scale, self.shape.grid, self.sums);
+            let (pairs, _) = self.sums.as_chunks_mut();
+            wave::exponentials_of(turns, pairs.get_mut(..self.shape.grid).unwrap_or_default());
             if let Some(zeroth) = self.sums.first_chunk_mut() {
                 let sum = (2 * on).wrapping_sub(events).cast_signed();
                 *zeroth = [Sum::from_integer(sum), Sum::ZERO];
@@ -189,6 +207,35 @@ impl<'e> Waves<'e> {
 const PAIR_BITS_MAX: u32 = 16;
 /// And four.
 const FOUR_BITS_MAX: u32 = 8;
+
+/// The turns of the list of slots that begins at `head`.
+///
+/// # Safety
+/// Every link is a slot or the end; `turns` has room for all.
+#[unsafe(naked)]
+unsafe extern "C" fn turns_of(
+    common: &Common,
+    slots: *const Slot,
+    head: u32,
+    turns: *mut MaybeUninit<Turn>,
+) {
+    naked_asm!(
+        "push {{r4-r6, lr}}",
+        "ldrd r0, r12, [r0, #32]",
+        "2:",
+        "add r2, r1, r2, lsl #3",
+        "ldrd r4, r2, [r2]",
+        "lsls r4, r0",
+        "umull r6, r5, r4, r12",
+        "lsls r4, r2, #31",
+        "lsls r5, r5, #1",
+        "stm r3!, {{r4, r5}}",
+        // The sign tells the end of the list.
+        "asrs r2, r2, #16",
+        "bpl 2b",
+        "pop {{r4-r6, pc}}",
+    )
+}
 
 /// Moves the pairs of `set` to the front, ascending.
 ///

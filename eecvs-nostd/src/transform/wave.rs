@@ -20,10 +20,6 @@ use core::f64::consts::TAU;
 
 use crate::atom::{cos_of_row, round};
 use crate::fixed_point::{CHUNK_EVENTS, FRACTION_BITS, Phase, Sum, dot_add};
-#[cfg(eecvs_dsp)]
-use crate::group::Impulses;
-#[cfg(eecvs_dsp)]
-use crate::phase::PhaseScale;
 use crate::transform::Impulse;
 
 const ROWS_LOG2: u32 = 10;
@@ -53,12 +49,19 @@ static LINES: [Line; ROWS + QUARTER] = lines();
 /// Phase of k = 0, and what each further k adds.
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
-struct Turn {
+pub struct Turn {
     start: u32,
     step: u32,
 }
 
 impl Turn {
+    /// What the phase of k = 1 is above that of another, but for polarities.
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    pub const fn ahead_of(&self, other: &Self) -> u32 {
+        self.step.wrapping_sub(other.step)
+    }
+
     #[inline(always)]
     fn new(step: Phase, is_on: bool) -> Self {
         Self {
@@ -68,42 +71,22 @@ impl Turn {
     }
 }
 
-/// Two events, for sums of some k alone.
-#[cfg(eecvs_dsp)]
-#[derive(Debug)]
-pub struct Two([Turn; 2]);
-
+/// sum p exp(-i k a) of two events for every k of `set`, which is without 0, ascending and side by
+/// side in `sums`, which have a pair for every k up to the highest; the bits of [`exponentials`].
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
-impl Two {
-    /// The first two impulses, whose phase of k = 1 is u; fewer are made up for.
-    #[inline(always)]
-    pub fn new(impulses: &Impulses<'_>, scale: PhaseScale) -> Self {
-        let mut impulses = impulses.clone();
-        Self([(); 2].map(|()| {
-            let (offset_us, is_on) = match impulses.next() {
-                Some(impulse) => (impulse.offset_us, impulse.is_on),
-                None => (0, false),
-            };
-            let step = scale.half(offset_us).to_bits() << 1;
-            Turn::new(Phase::from_bits(step), is_on)
-        }))
-    }
+#[inline(always)]
+pub fn two_exponentials(set: u32, turns: [&Turn; 2], sums: &mut [Sum]) {
+    // SAFETY: by the sums' length; lines are read at rows below `ROWS + QUARTER`. The build script sets
+    // `eecvs_dsp` only for cores that have the instructions.
+    unsafe { dsp::two_exponentials(set, sums.as_mut_ptr(), turns[0], turns[1]) }
+}
 
-    /// What the phase of k = 1 of the first is above that of the second.
-    #[inline(always)]
-    pub const fn difference(&self) -> u32 {
-        self.0[0].step.wrapping_sub(self.0[1].step)
-    }
-
-    /// sum p exp(-i k a) for every k of `set`, ascending and side by side in `sums`, which have a
-    /// pair for every k up to the highest; the bits of [`exponentials`].
-    #[inline(always)]
-    pub fn exponentials(&self, set: u32, sums: &mut [Sum]) {
-        // SAFETY: by the sums' length; lines are read at rows below `ROWS + QUARTER`. The build
-        // script sets `eecvs_dsp` only for cores that have the instructions.
-        unsafe { dsp::two_exponentials(set, sums.as_mut_ptr(), &self.0) }
-    }
+/// [`exponentials`] of some events that have been turned.
+#[cfg(eecvs_dsp)]
+#[inline(always)]
+pub fn exponentials_of(turns: &[Turn], sums: &mut [[Sum; 2]]) {
+    dsp::exponentials_of(turns, sums);
 }
 
 /// The weights of a line at a phase.
@@ -223,9 +206,14 @@ mod dsp {
 
     #[inline(always)]
     pub fn exponentials(turns: impl Iterator<Item = Turn>, sums: &mut [[Sum; 2]]) {
-        let sums = sums.get_mut(1..).unwrap_or_default();
         let mut all = Vec::new();
-        let turns = collect(turns, &mut all);
+        exponentials_of(collect(turns, &mut all), sums);
+    }
+
+    /// As the one beside this module.
+    #[inline(always)]
+    pub fn exponentials_of(turns: &[Turn], sums: &mut [[Sum; 2]]) {
+        let sums = sums.get_mut(1..).unwrap_or_default();
         if turns.is_empty() {
             return sums.fill([Sum::ZERO; 2]);
         }
@@ -270,7 +258,7 @@ mod dsp {
     /// # Safety
     /// `sums` has room for as many pairs; the core has the DSP instructions.
     #[unsafe(naked)]
-    pub(super) unsafe extern "C" fn two_exponentials(set: u32, sums: *mut Sum, turns: &[Turn; 2]) {
+    pub(super) unsafe extern "C" fn two_exponentials(set: u32, sums: *mut Sum, a: &Turn, b: &Turn) {
         naked_asm!(
             "push {{r4-r11, lr}}",
             "movs r0, r0",
@@ -279,7 +267,8 @@ mod dsp {
             "movt r4, #:upper16:{lines}",
             "add r5, r4, #{imaginary}",
             "mov r6, #{one}",
-            "ldm r2, {{r2, r3, r12, lr}}",
+            "ldrd r12, lr, [r3]",
+            "ldrd r2, r3, [r2]",
             "2:",
             "rbit r7, r0",
             "clz r7, r7",
