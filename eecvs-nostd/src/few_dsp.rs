@@ -16,7 +16,7 @@ use crate::group::{Entry, Group, Impulses};
 use crate::pack::Packer;
 use crate::phase::PhaseScale;
 use crate::transform::rows::{self, Lines};
-use crate::waves_dsp::Waves;
+use crate::waves_dsp::{self, Waves};
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, Slot};
 use crate::window::{SLOTS_MAX, Window};
 
@@ -98,9 +98,10 @@ pub fn walk(
     (writer, room): (&mut BitWriter<'_>, usize),
     waves: Option<&mut Waves<'_>>,
 ) -> (u32, u32) {
-    let tally_limit = match waves {
-        Some(_) => 2 << 16,
-        None => (CHUNK_EVENTS as u32 + 1) << 16,
+    let crowded = (CHUNK_EVENTS as u32 + 1) << 16;
+    let (tally_limit, waves): (_, *mut Waves<'_>) = match waves {
+        Some(waves) => (2 << 16, waves),
+        None => (crowded, core::ptr::null_mut()),
     };
     let (phase_shift, reciprocal) = scale.parts();
     let cells_log2 = packer.cells_log2();
@@ -149,7 +150,7 @@ pub fn walk(
         words,
         tally_limit,
         sums: [0; 7],
-        waves: waves.map_or(core::ptr::null_mut(), |waves| (&raw mut *waves).cast()),
+        waves: waves.cast(),
         packer,
         group,
         window,
@@ -261,15 +262,23 @@ unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u3
     packer.seven_after(gap >> 1, (on, (tally >> 16) - on), &walk.sums, writer);
 }
 
-/// A pixel of two to a chunk's events of the DTFT, whose list begins at `head`; `gap` as there.
-unsafe extern "C" fn several(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32, head: u32) {
+/// What is kept of a pixel of two to a chunk's events of the DTFT, whose list begins at `head`; its
+/// sums are where [`waves_dsp::put`] reads them.
+unsafe extern "C" fn choose(walk: &mut Walk<'_, '_, '_>, tally: u32, head: u32) -> u32 {
     // SAFETY: see `walk`; nothing else has a reference while this runs, and this is called only where
     // there are `Waves`.
-    let (waves, packer) = unsafe { (&mut *walk.waves, &mut *walk.packer) };
-    // SAFETY: as above.
-    let (window, writer) = unsafe { (&mut *walk.window, &mut *walk.writer) };
+    let (waves, window) = unsafe { (&mut *walk.waves, &mut *walk.window) };
     let impulses = Impulses::from_parts(window.slots(), head);
-    waves.encode((gap, tally), &impulses, packer, writer, &mut ());
+    waves.choose(tally, &impulses, &mut ())
+}
+
+/// A pixel of the DTFT that [`waves_dsp::put`] leaves; `gap` as there.
+unsafe extern "C" fn wave_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32, kept: u32) {
+    // SAFETY: as for `choose`.
+    let (waves, packer) = unsafe { (&mut *walk.waves, &*walk.packer) };
+    // SAFETY: as above.
+    let writer = unsafe { &mut *walk.writer };
+    waves.put_long((gap >> 1, tally), kept, packer, writer);
 }
 
 /// Appends `$value`, which has no bits beyond its `$bits`, 32 at the most; overwrites `$bits`.
@@ -716,13 +725,37 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "bhs 20f",
         "add r11, r11, #0x10000",
         "add r11, r11, r3, lsr #16",
-        "strd r1, r3, [sp, #100]",
-        "str lr, [sp, #108]",
-        "bl 41f",
         "add r0, sp, #100",
-        "ldm r0, {{r1-r3}}",
+        "stm r0, {{r1, r3, r4, r7, r11, r12}}",
         "ldr r0, [sp, #156]",
-        "bl {several}",
+        "mov r1, r3",
+        "mov r2, lr",
+        "bl {choose}",
+        "mov r3, r0",
+        "str r0, [sp, #124]",
+        "ldr r0, [sp, #156]",
+        "ldr r0, [r0, #{waves}]",
+        "adds r0, #{common}",
+        "ldrd r1, r2, [sp, #100]",
+        "ldr r12, [sp, #120]",
+        "bl {put}",
+        "ldrd r5, r6, [sp, #92]",
+        "add r1, sp, #108",
+        "ldm r1, {{r4, r7, r11}}",
+        "cmp r0, #0",
+        "beq 21f",
+        "ldr r0, [sp, #24]",
+        "cmp r12, r0",
+        "bhs 12f",
+        "lsls r4, r4, #1",
+        "bne 1b",
+        "b 6b",
+        "21:",
+        "bl 41f",
+        "ldr r0, [sp, #156]",
+        "ldrd r1, r2, [sp, #100]",
+        "ldr r3, [sp, #124]",
+        "bl {wave_long}",
         "b 10b",
         // More events than a chunk: as it was before the pixel.
         "20:",
@@ -777,7 +810,11 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "bx lr",
         next_segments = sym next_segments,
         seven_long = sym seven_long,
-        several = sym several,
+        choose = sym choose,
+        wave_long = sym wave_long,
+        put = sym waves_dsp::put,
+        waves = const offset_of!(Walk<'_, '_, '_>, waves),
+        common = const offset_of!(Waves<'_>, common),
         tally_limit = const offset_of!(Walk<'_, '_, '_>, tally_limit),
         copied = const offset_of!(Walk<'_, '_, '_>, position) - 12,
         single_long = sym single_long,

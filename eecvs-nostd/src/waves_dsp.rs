@@ -38,16 +38,14 @@ pub struct Waves<'e> {
     sums: &'e mut [Sum],
     /// Room for 2K numbers.
     numbers: &'e mut [u32],
-    common: Common,
+    pub common: Common,
 }
 
-/// What [`put_pixel`] knows.
+/// What [`put`] knows.
 #[derive(Debug)]
 #[repr(C)]
-struct Common {
+pub struct Common {
     sums: *const Sum,
-    position: *mut Position,
-    words: *mut [u8; 4],
     /// From sums to levels.
     shift: u32,
     /// Bits of a level of one event.
@@ -64,9 +62,9 @@ struct Common {
 // What the assembly takes for granted.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000 && NEXT_SHIFT == 16);
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Turn>() == 8);
-const _: () = assert!(offset_of!(Common, position) == 4 && offset_of!(Common, shift) == 12);
-const _: () = assert!(offset_of!(Common, grid) == 20 && offset_of!(Common, gap_zeros) == 28);
-const _: () = assert!(offset_of!(Common, phase_shift) == 32);
+const _: () = assert!(offset_of!(Common, shift) == 4 && offset_of!(Common, one_bits) == 8);
+const _: () = assert!(offset_of!(Common, grid) == 12 && offset_of!(Common, gap_zeros) == 20);
+const _: () = assert!(offset_of!(Common, phase_shift) == 24);
 
 /// Words that a pixel takes at the most, with levels of up to 32 bits.
 pub const fn words_max(shape: Shape) -> usize {
@@ -85,8 +83,6 @@ impl<'e> Waves<'e> {
         let (phase_shift, reciprocal) = scale.parts();
         let common = Common {
             sums: core::ptr::null(),
-            position: core::ptr::null_mut(),
-            words: core::ptr::null_mut(),
             shift,
             one_bits,
             grid: shape.grid as u32,
@@ -114,6 +110,25 @@ impl<'e> Waves<'e> {
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) {
+        let kept = self.choose(tally, impulses, trace);
+        trace.enter(Stage::Pack);
+        // SAFETY: the pointer is that of the reference. `put_apart` reads a pair for every k of the set
+        // but 0, which have just been written, and writes the position and fewer words from there on
+        // than there is room for. The build script sets `eecvs_dsp` only for cores that have the
+        // instructions.
+        let is_put = unsafe {
+            let writer: *mut BitWriter<'_> = writer;
+            let (position, words, _) = BitWriter::raw_parts(writer);
+            put_apart(&self.common, gap, (tally, kept), position, words)
+        };
+        if !is_put {
+            self.put_long((gap >> 1, tally), kept, packer, writer);
+        }
+    }
+
+    /// Which k are kept, and, but for k = 0, their sums side by side where `common` has them.
+    #[inline(always)]
+    pub fn choose<T: Trace>(&mut self, tally: u32, impulses: &Impulses<'_>, trace: &mut T) -> u32 {
         let (events, on) = (tally >> 16, tally & 0xffff);
         trace.enter(Stage::Accumulate);
         let mut memory = [const { MaybeUninit::uninit() }; CHUNK_EVENTS];
@@ -145,26 +160,14 @@ impl<'e> Waves<'e> {
             // SAFETY: the set has no index of K or above, and there are 2K sums.
             unsafe { gather(self.sums.as_mut_ptr(), kept & !1) };
         }
-        trace.enter(Stage::Pack);
         self.common.sums = self.sums.as_ptr();
-        // SAFETY: the pointer is that of the reference. `put_pixel` reads a pair for every k of the
-        // set but 0, which have just been written, and writes the position and fewer words from there
-        // on than there is room for. The build script sets `eecvs_dsp` only for cores that have the
-        // instructions.
-        let is_put = unsafe {
-            let writer: *mut BitWriter<'_> = writer;
-            (self.common.position, self.common.words, _) = BitWriter::raw_parts(writer);
-            put_pixel(&self.common, gap, tally, kept)
-        };
-        if !is_put {
-            self.put_long((gap >> 1, tally), kept, packer, writer);
-        }
+        kept
     }
 
-    /// What [`put_pixel`] leaves: wide levels, none, or a long place.
+    /// What [`put`] leaves: wide levels, none, or a long place.
     #[cold]
     #[inline(never)]
-    fn put_long(
+    pub fn put_long(
         &mut self,
         (shifted, tally): (u32, u32),
         kept: u32,
@@ -221,7 +224,7 @@ unsafe extern "C" fn turns_of(
 ) {
     naked_asm!(
         "push {{r4-r6, lr}}",
-        "ldrd r0, r12, [r0, #32]",
+        "ldrd r0, r12, [r0, #24]",
         "2:",
         "add r2, r1, r2, lsl #3",
         "ldrd r4, r2, [r2]",
@@ -311,57 +314,61 @@ macro_rules! four {
 }
 
 /// Puts a pixel of 2 to a chunk of events, whose pairs of sums of `kept` but k = 0 stand side by side;
-/// `gap` and `tally` as [`Waves::encode`] has them. `false`, and nothing has changed, where levels have
-/// over 16 bits, there are none, or the place has over 31 bits.
+/// `gap` and `tally` as [`Waves::encode`] has them. Returns 0, and nothing has changed, where levels
+/// have over 16 bits, there are none, or the place has over 31 bits.
+///
+/// The output's state is in registers: r9 the bits of the next word, r10 the bit after them, r12 where
+/// the word goes, r8 is 0. Overwrites r0 to r7 and r11.
 ///
 /// # Safety
-/// There are the words from the position on, and the pairs.
+/// For assembly alone. There are the words from r12 on, and the pairs.
 #[unsafe(naked)]
-unsafe extern "C" fn put_pixel(common: &Common, gap: u32, tally: u32, kept: u32) -> bool {
+pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -> u32 {
     naked_asm!(
-        "push {{r0, r4-r11, lr}}",
-        // r4: pairs; r6: n; r7: zeros before n - 1.
+        "push {{r0, r12, lr}}",
+        // r4: pairs; r7: zeros before n - 1.
         "ldr r12, [r0]",
-        "ldr r4, [r0, #24]",
+        "ldr r4, [r0, #16]",
         "and r5, r3, #1",
         "subs r4, r4, r5",
         "beq 9f",
-        "lsrs r6, r2, #16",
-        "subs r7, r6, #1",
+        "lsrs r7, r2, #16",
+        "subs r7, #1",
         "clz r7, r7",
         // r5: the bits that are not copies of the sign, until there is the highest that |c| < n has.
         "rsb r8, r7, #{fraction_bits} + 31",
         "movs r5, #0",
-        "mov r9, r4",
+        "mov r6, r4",
         "3:",
-        "ldrd r10, r11, [r12], #8",
-        "eor r10, r10, r10, asr #31",
-        "orr r5, r5, r10",
+        "ldrd r11, lr, [r12], #8",
         "eor r11, r11, r11, asr #31",
         "orr r5, r5, r11",
-        "lsrs r10, r5, r8",
+        "eor lr, lr, lr, asr #31",
+        "orr r5, r5, lr",
+        "lsrs r11, r5, r8",
         "bne 4f",
-        "subs r9, #1",
+        "subs r6, #1",
         "bne 3b",
         "4:",
-        // r9: bits of a level; lr: zeros before them.
-        "ldrd r8, r10, [r0, #12]",
+        // r8: bits of a level; lr: zeros before them.
+        "ldrd r8, r11, [r0, #4]",
         "lsrs r5, r8",
         "clz r5, r5",
-        "rsb r9, r5, #33",
-        "cmp r9, #{pair_bits_max}",
+        "rsb r8, r5, #33",
+        "cmp r8, #{pair_bits_max}",
         "bhi 9f",
-        "sub r10, r10, r7",
-        "sub r10, r10, r9",
-        "add lr, r10, #32",
+        "sub r11, r11, r7",
+        "sub r11, r11, r8",
+        "add lr, r11, #32",
         // The gap's code in r1, with a 1 above it; r5: its bits.
-        "ldr r5, [r0, #28]",
+        "ldr r5, [r0, #20]",
         "clz r7, r1",
         "subs r5, r5, r7",
         "lsls r1, r5",
         "subs r5, r5, r7",
         "adds r5, #31",
         // n, whose code has its 1 from the gap's. r7: log2 of n.
+        "lsrs r6, r2, #16",
         "clz r7, r6",
         "rsb r7, r7, #31",
         "lsls r6, r6, #1",
@@ -382,7 +389,7 @@ unsafe extern "C" fn put_pixel(common: &Common, gap: u32, tally: u32, kept: u32)
         "cmp r5, #31",
         "bhi 9f",
         // The set, of which a bit is enough where it is the lowest k.
-        "ldrd r7, r6, [r0, #20]",
+        "ldrd r7, r6, [r0, #12]",
         "movs r2, #1",
         "lsl r6, r2, r6",
         "subs r6, #1",
@@ -394,15 +401,10 @@ unsafe extern "C" fn put_pixel(common: &Common, gap: u32, tally: u32, kept: u32)
         "movs r7, #0",
         "5:",
         "adds r5, #1",
-        // The output's state.
-        "mov r6, r9",
-        "ldrd r2, r8, [r0, #4]",
-        "ldm r2, {{r2, r9, r10}}",
-        "add r12, r8, r2, lsl #2",
-        "rsb r10, r10, #32",
-        "movs r2, #1",
-        "lsl r10, r2, r10",
+        "mov r6, r8",
         "mov r8, #0",
+        "ldr r12, [sp, #4]",
+        "movs r2, #1",
         put!("r1", "r5"),
         put!("r3", "r7"),
         "lsl r1, r2, lr",
@@ -411,8 +413,7 @@ unsafe extern "C" fn put_pixel(common: &Common, gap: u32, tally: u32, kept: u32)
         // r2: sums; r4: pairs; r7: shift; r6: bits of a level; r5: 2^bits; r3: the highest bit of each
         // of two levels, later of four.
         "lsl r5, r2, r6",
-        "ldr r2, [r0]",
-        "ldr r7, [r0, #12]",
+        "ldrd r2, r7, [r0]",
         "lsrs r1, r5, #1",
         "mla r3, r1, r5, r1",
         "cmp r6, #{four_bits_max}",
@@ -462,24 +463,77 @@ unsafe extern "C" fn put_pixel(common: &Common, gap: u32, tally: u32, kept: u32)
         "subs r4, #1",
         "bne 5b",
         "8:",
-        "ldr r0, [sp]",
-        "ldrd r1, r2, [r0, #4]",
-        "sub r2, r12, r2",
+        "movs r0, #1",
+        "add sp, #8",
+        "pop {{pc}}",
+        "9:",
+        "mov r8, #0",
+        "movs r0, #0",
+        "add sp, #4",
+        "pop {{r12, pc}}",
+        fraction_bits = const FRACTION_BITS,
+        pair_bits_max = const PAIR_BITS_MAX,
+        four_bits_max = const FOUR_BITS_MAX,
+    )
+}
+
+/// [`put`] with the output's state in memory: `counts` are the tally and what is kept.
+///
+/// # Safety
+/// There are the words from the position on, and the pairs.
+unsafe fn put_apart(
+    common: &Common,
+    gap: u32,
+    (tally, kept): (u32, u32),
+    position: *mut Position,
+    words: *mut [u8; 4],
+) -> bool {
+    let fields = Fields {
+        gap,
+        tally,
+        kept,
+        words,
+    };
+    // SAFETY: by the caller.
+    unsafe { put_fields(common, &fields, &mut *position) != 0 }
+}
+
+/// What [`put_fields`] hands on.
+#[repr(C)]
+struct Fields {
+    gap: u32,
+    tally: u32,
+    kept: u32,
+    words: *mut [u8; 4],
+}
+
+/// # Safety
+/// As for [`put_apart`].
+#[unsafe(naked)]
+unsafe extern "C" fn put_fields(common: &Common, fields: &Fields, position: &mut Position) -> u32 {
+    naked_asm!(
+        "push {{r2, r4-r11, lr}}",
+        "ldm r1, {{r1, r3, r4, r5}}",
+        "push {{r4, r5}}",
+        "ldm r2, {{r6, r9, r10}}",
+        "add r12, r5, r6, lsl #2",
+        "rsb r10, r10, #32",
+        "movs r6, #1",
+        "lsl r10, r6, r10",
+        "mov r8, #0",
+        "mov r2, r3",
+        "mov r3, r4",
+        "bl {put}",
+        "ldrd r5, r1, [sp, #4]",
+        "sub r2, r12, r5",
         "lsrs r2, r2, #2",
         "rbit r3, r10",
         "clz r3, r3",
         "rsb r3, r3, #32",
-        "stm r1, {{r2, r9}}",
-        "str r3, [r1, #8]",
-        "movs r0, #1",
-        "add sp, #4",
+        "str r2, [r1]",
+        "strd r9, r3, [r1, #4]",
+        "add sp, #12",
         "pop {{r4-r11, pc}}",
-        "9:",
-        "movs r0, #0",
-        "add sp, #4",
-        "pop {{r4-r11, pc}}",
-        fraction_bits = const FRACTION_BITS,
-        pair_bits_max = const PAIR_BITS_MAX,
-        four_bits_max = const FOUR_BITS_MAX,
+        put = sym put,
     )
 }
