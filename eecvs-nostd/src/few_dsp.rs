@@ -12,7 +12,7 @@ use core::mem::offset_of;
 
 use crate::bits::{BitWriter, Position};
 use crate::fixed_point::CHUNK_EVENTS;
-use crate::group::{Entry, Group, Impulses};
+use crate::group::{Entry, Group};
 use crate::pack::Packer;
 use crate::phase::PhaseScale;
 use crate::transform::rows::{self, Lines};
@@ -268,8 +268,7 @@ unsafe extern "C" fn choose(walk: &mut Walk<'_, '_, '_>, tally: u32, head: u32) 
     // SAFETY: see `walk`; nothing else has a reference while this runs, and this is called only where
     // there are `Waves`.
     let (waves, window) = unsafe { (&mut *walk.waves, &mut *walk.window) };
-    let impulses = Impulses::from_parts(window.slots(), head);
-    waves.choose(tally, &impulses, &mut ())
+    waves.choose_largest((tally, head), window.slots(), &mut ())
 }
 
 /// A pixel of the DTFT that [`waves_dsp::put`] leaves; `gap` as there.
@@ -726,16 +725,27 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "add r11, r11, #0x10000",
         "add r11, r11, r3, lsr #16",
         "add r0, sp, #100",
-        "stm r0, {{r1, r3, r4, r7, r11, r12}}",
-        "ldr r0, [sp, #156]",
-        "mov r1, r3",
+        "stm r0, {{r1, r3, r4, r7, r11, r12, lr}}",
+        "ldr r4, [sp, #156]",
+        "ldr r7, [r4, #{waves}]",
+        "adds r7, #{common}",
+        "cmp r3, #0x30000",
+        "bhs 22f",
+        "mov r0, r7",
+        "mov r1, r6",
         "mov r2, lr",
+        "bl {two}",
+        "cmp r0, #0",
+        "bne 23f",
+        "22:",
+        "mov r0, r4",
+        "ldr r1, [sp, #104]",
+        "ldr r2, [sp, #124]",
         "bl {choose}",
+        "23:",
         "mov r3, r0",
-        "str r0, [sp, #124]",
-        "ldr r0, [sp, #156]",
-        "ldr r0, [r0, #{waves}]",
-        "adds r0, #{common}",
+        "str r0, [sp, #128]",
+        "mov r0, r7",
         "ldrd r1, r2, [sp, #100]",
         "ldr r12, [sp, #120]",
         "bl {put}",
@@ -754,7 +764,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "bl 41f",
         "ldr r0, [sp, #156]",
         "ldrd r1, r2, [sp, #100]",
-        "ldr r3, [sp, #124]",
+        "ldr r3, [sp, #128]",
         "bl {wave_long}",
         "b 10b",
         // More events than a chunk: as it was before the pixel.
@@ -813,6 +823,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         choose = sym choose,
         wave_long = sym wave_long,
         put = sym waves_dsp::put,
+        two = sym waves_dsp::two,
         waves = const offset_of!(Walk<'_, '_, '_>, waves),
         common = const offset_of!(Waves<'_>, common),
         tally_limit = const offset_of!(Walk<'_, '_, '_>, tally_limit),

@@ -212,13 +212,6 @@ impl<'s> Impulses<'s> {
         }
     }
 
-    /// The events of the list that begins at `next`.
-    #[cfg(eecvs_dsp)]
-    #[inline(always)]
-    pub(crate) const fn from_parts(slots: &'s [Slot], next: u32) -> Self {
-        Self { slots, next }
-    }
-
     /// The slots, and which of them is next.
     #[cfg(eecvs_dsp)]
     #[inline(always)]

@@ -41,36 +41,6 @@ const DISTANCES: Search = Search {
     lowest: 0x0808_0808,
 };
 
-/// The r largest |c_k| of a pixel of two events whose phases u differ by `difference`, as a bit
-/// each; 0 where another way has to tell them.
-///
-/// With d the distance of k (u - u') from the nearest integer, or from the nearest odd half where
-/// both have the same polarity, |c_k|^2 = 2 - 2 cos(2 pi d): it grows with d, and no atom is needed
-/// to order them. A margin keeps the set that of the fixed-point sums: bytes are floor(512 d), the
-/// byte below the first one that is kept is empty, and rounding u - u' to 2^-15 and the odd start
-/// move d by at most 2^-11 each, so d of what is kept is 2^-10 above that of the rest. With the
-/// threshold between 8 / 512 and 248 / 512, |c|^2 is more than 1.2e-3 above; errors of 2^-15.1 of an
-/// atom's parts make at most 2 * 4 * sqrt 2 * 2 * 2^-15.1 = 6.5e-4.
-#[inline(always)]
-pub fn of_two(difference: u32, is_same: bool, shape: Shape) -> u32 {
-    let Shape { grid, r, .. } = shape;
-    if grid <= GRID_MAX / 2 {
-        of_two_in::<4>(difference, is_same, grid, r as u32)
-    } else {
-        of_two_in::<8>(difference, is_same, grid, r as u32)
-    }
-}
-
-#[inline(always)]
-fn of_two_in<const W: usize>(difference: u32, is_same: bool, grid: usize, r: u32) -> u32 {
-    let mut lanes = [0; W];
-    let start = (u32::from(is_same) << 15) | 1;
-    // SAFETY: `distances` writes as many words as it is told, 1 to W: see `is_for`. The build script
-    // sets `eecvs_dsp` only for cores that have the instructions.
-    unsafe { distances(lanes.as_mut_ptr(), difference, start, grid / 4) };
-    separate(&mut lanes, r, DISTANCES)
-}
-
 /// The r largest |c_k| of a pixel's pairs of sums of up to a chunk of `events`, as a bit each, ties
 /// to the lower k; `keys` has room for K.
 #[inline(always)]
@@ -137,44 +107,87 @@ fn separate<const W: usize>(lanes: &mut [u32; W], r: u32, search: Search) -> u32
     }
 }
 
-/// 512 times the distance of `start` / 2^16 + k `difference` / 2^32 from the nearest integer, a byte
-/// each. `start` is odd, and all multiples are even: none is -2^15, which has no magnitude.
+/// The r largest |c_k| of a pixel of two events, as a bit each; 0 where another way has to tell them.
+///
+/// With d the distance of k (u - u') from the nearest integer, or from the nearest odd half where
+/// both have the same polarity, |c_k|^2 = 2 - 2 cos(2 pi d): it grows with d, and no atom is needed
+/// to order them. A margin keeps the set that of the fixed-point sums: bytes are floor(512 d), the
+/// byte below the first one that is kept is empty, and rounding u - u' to 2^-15 and the odd start
+/// move d by at most 2^-11, so d of what is kept is 2^-10 above that of the rest. With the threshold
+/// between 8 / 512 and 248 / 512, |c|^2 is more than 1.2e-3 above; errors of 2^-15.1 of an atom's
+/// parts make at most 2 * 4 * sqrt 2 * 2 * 2^-15.1 = 6.5e-4.
+///
+/// `turns` are polarity << 31 and u of either; `lanes` has 8 words for the bytes.
 ///
 /// # Safety
-/// `lanes` has `words` words, of which there are some.
+/// `shape` has K and r that [`is_for`] holds of.
 #[unsafe(naked)]
-unsafe extern "C" fn distances(lanes: *mut u32, difference: u32, start: u32, words: usize) {
+pub unsafe extern "C" fn of_two(
+    shape: &[u32; 2],
+    turns: &[[u32; 2]; 2],
+    lanes: &mut [u32; 8],
+) -> u32 {
     naked_asm!(
-        "push {{r4-r8, lr}}",
+        "push {{r0, r2, r4-r8, lr}}",
+        "ldm r1, {{r1, r3, r4, r5}}",
+        // r3: 1, and half a turn of 16 bits where the polarities are the same: all multiples of the
+        // difference are even, and none is -2^15, which has no magnitude.
+        "eors r1, r4",
+        "mvns r1, r1",
+        "lsrs r1, r1, #31",
+        "lsls r1, r1, #15",
+        "adds r1, #1",
+        "subs r4, r3, r5",
+        "pkhbt r3, r1, r1, lsl #16",
         // r1: the difference in both halves.
-        "add r1, r1, #0x10000",
+        "add r1, r4, #0x10000",
         "lsrs r1, r1, #17",
         "lsls r1, r1, #1",
         "pkhbt r1, r1, r1, lsl #16",
-        "pkhbt r2, r2, r2, lsl #16",
         "uadd16 r4, r1, r1",
         // r5: k = 0 and 2, r6: k = 1 and 3, r4: what brings both to the next four.
-        "uadd16 r5, r2, r4",
-        "pkhbt r5, r2, r5",
+        "uadd16 r5, r3, r4",
+        "pkhbt r5, r3, r5",
         "uadd16 r6, r5, r1",
         "uadd16 r4, r4, r4",
         "mov r7, #0x00ff00ff",
         "mov r8, #0xff00ff00",
         "mov r12, #0",
+        "ldr r3, [r0]",
+        "lsls r1, r3, #28",
+        "beq 2f",
+        // Lanes without a key are below all others.
+        "mov lr, r12",
+        "strd r12, lr, [r2]",
+        "strd r12, lr, [r2, #8]",
+        "strd r12, lr, [r2, #16]",
+        "strd r12, lr, [r2, #24]",
         "2:",
         "ssub16 r1, r12, r5",
         "sel r1, r1, r5",
-        "ssub16 r2, r12, r6",
-        "sel r2, r2, r6",
+        "ssub16 lr, r12, r6",
+        "sel lr, lr, r6",
         "and r1, r7, r1, lsr #7",
-        "and r2, r8, r2, lsl #1",
-        "orrs r1, r2",
-        "str r1, [r0], #4",
+        "and lr, r8, lr, lsl #1",
+        "orr r1, r1, lr",
+        "str r1, [r2], #4",
         "uadd16 r5, r5, r4",
         "uadd16 r6, r6, r4",
-        "subs r3, #1",
+        "subs r3, #4",
         "bne 2b",
-        "pop {{r4-r8, pc}}",
+        "pop {{r1, r4}}",
+        "mov r0, r4",
+        "ldrd r4, r1, [r1]",
+        "mov r2, #{first}",
+        "mov r3, #{lowest}",
+        "cmp r4, #16",
+        "pop {{r4-r8, lr}}",
+        "bls {separate_16}",
+        "b {separate_32}",
+        separate_16 = sym separate_16,
+        separate_32 = sym separate_32,
+        first = const DISTANCES.first,
+        lowest = const DISTANCES.lowest,
     )
 }
 

@@ -45,7 +45,7 @@ pub struct Waves<'e> {
 #[derive(Debug)]
 #[repr(C)]
 pub struct Common {
-    sums: *const Sum,
+    sums: *mut Sum,
     /// From sums to levels.
     shift: u32,
     /// Bits of a level of one event.
@@ -82,7 +82,7 @@ impl<'e> Waves<'e> {
         let (order, _) = packer.gap_parts();
         let (phase_shift, reciprocal) = scale.parts();
         let common = Common {
-            sums: core::ptr::null(),
+            sums: sums.as_mut_ptr(),
             shift,
             one_bits,
             grid: shape.grid as u32,
@@ -129,38 +129,50 @@ impl<'e> Waves<'e> {
     /// Which k are kept, and, but for k = 0, their sums side by side where `common` has them.
     #[inline(always)]
     pub fn choose<T: Trace>(&mut self, tally: u32, impulses: &Impulses<'_>, trace: &mut T) -> u32 {
+        let events = tally >> 16;
+        self.common.sums = self.sums.as_mut_ptr();
+        let (slots, head) = impulses.parts();
+        if events == 2 {
+            trace.enter(Stage::Accumulate);
+            // SAFETY: the list is the group's, of events of this window. There are 2K sums. The build
+            // script sets `eecvs_dsp` only for cores that have the instructions.
+            let kept = unsafe { two(&self.common, slots.as_ptr(), head) };
+            if kept != 0 {
+                return kept;
+            }
+        }
+        self.choose_largest((tally, head), slots, trace)
+    }
+
+    /// The same from all sums.
+    #[inline(always)]
+    pub fn choose_largest<T: Trace>(
+        &mut self,
+        (tally, head): (u32, u32),
+        slots: &[Slot],
+        trace: &mut T,
+    ) -> u32 {
         let (events, on) = (tally >> 16, tally & 0xffff);
         trace.enter(Stage::Accumulate);
         let mut memory = [const { MaybeUninit::uninit() }; CHUNK_EVENTS];
-        let (slots, head) = impulses.parts();
         // SAFETY: the list is the group's, of up to a chunk of events of this window, and has some:
         // `turns_of` writes as many turns.
         let turns = unsafe {
             turns_of(&self.common, slots.as_ptr(), head, memory.as_mut_ptr());
             core::slice::from_raw_parts(memory.as_ptr().cast::<Turn>(), events as usize)
         };
-        let mut kept = 0;
-        if let [a, b] = turns {
-            trace.enter(Stage::Prune);
-            kept = prune_dsp::of_two(a.ahead_of(b), on != 1, self.shape);
-            trace.enter(Stage::Accumulate);
-            wave::two_exponentials(kept & !1, [a, b], self.sums);
+        let (pairs, _) = self.sums.as_chunks_mut();
+        wave::exponentials_of(turns, pairs.get_mut(..self.shape.grid).unwrap_or_default());
+        if let Some(zeroth) = self.sums.first_chunk_mut() {
+            let sum = (2 * on).wrapping_sub(events).cast_signed();
+            *zeroth = [Sum::from_integer(sum), Sum::ZERO];
         }
-        if kept == 0 {
-            trace.enter(Stage::Accumulate);
-            let (pairs, _) = self.sums.as_chunks_mut();
-            wave::exponentials_of(turns, pairs.get_mut(..self.shape.grid).unwrap_or_default());
-            if let Some(zeroth) = self.sums.first_chunk_mut() {
-                let sum = (2 * on).wrapping_sub(events).cast_signed();
-                *zeroth = [Sum::from_integer(sum), Sum::ZERO];
-            }
-            trace.enter(Stage::Prune);
-            kept = prune_dsp::largest(self.sums, events, self.shape, self.numbers);
-            trace.enter(Stage::Quantise);
-            // SAFETY: the set has no index of K or above, and there are 2K sums.
-            unsafe { gather(self.sums.as_mut_ptr(), kept & !1) };
-        }
-        self.common.sums = self.sums.as_ptr();
+        trace.enter(Stage::Prune);
+        let kept = prune_dsp::largest(self.sums, events, self.shape, self.numbers);
+        trace.enter(Stage::Quantise);
+        // SAFETY: the set has no index of K or above, and there are 2K sums.
+        unsafe { gather(self.sums.as_mut_ptr(), kept & !1) };
+        self.common.sums = self.sums.as_mut_ptr();
         kept
     }
 
@@ -210,6 +222,53 @@ impl<'e> Waves<'e> {
 const PAIR_BITS_MAX: u32 = 16;
 /// And four.
 const FOUR_BITS_MAX: u32 = 8;
+
+/// A pixel of two events, whose list begins at `head`: the sums of what is kept of it, but for k = 0,
+/// side by side; returns which, or 0 where all sums have to tell.
+///
+/// # Safety
+/// Every link is a slot or the end, and `common` has 2K sums.
+#[unsafe(naked)]
+pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> u32 {
+    naked_asm!(
+        "push {{r4-r7, lr}}",
+        // At sp: 32 bytes of lanes, two turns.
+        "sub sp, #52",
+        "mov r4, r0",
+        "ldrd r6, r7, [r0, #24]",
+        "add r2, r1, r2, lsl #3",
+        "ldrd r0, r5, [r2]",
+        "lsls r0, r6",
+        "umull r12, r3, r0, r7",
+        "lsls r3, r3, #1",
+        "lsls r2, r5, #31",
+        "strd r2, r3, [sp, #32]",
+        "lsrs r5, r5, #16",
+        "add r1, r1, r5, lsl #3",
+        "ldrd r0, r5, [r1]",
+        "lsls r0, r6",
+        "umull r12, r3, r0, r7",
+        "lsls r3, r3, #1",
+        "lsls r2, r5, #31",
+        "strd r2, r3, [sp, #40]",
+        "add r0, r4, #12",
+        "add r1, sp, #32",
+        "mov r2, sp",
+        "bl {of_two}",
+        "movs r5, r0",
+        "beq 2f",
+        "bic r0, r0, #1",
+        "ldr r1, [r4]",
+        "add r2, sp, #32",
+        "bl {two_exponentials}",
+        "mov r0, r5",
+        "2:",
+        "add sp, #52",
+        "pop {{r4-r7, pc}}",
+        of_two = sym prune_dsp::of_two,
+        two_exponentials = sym wave::dsp::two_exponentials,
+    )
+}
 
 /// The turns of the list of slots that begins at `head`.
 ///

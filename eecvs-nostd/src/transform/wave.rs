@@ -55,13 +55,6 @@ pub struct Turn {
 }
 
 impl Turn {
-    /// What the phase of k = 1 is above that of another, but for polarities.
-    #[cfg(eecvs_dsp)]
-    #[inline(always)]
-    pub const fn ahead_of(&self, other: &Self) -> u32 {
-        self.step.wrapping_sub(other.step)
-    }
-
     #[inline(always)]
     fn new(step: Phase, is_on: bool) -> Self {
         Self {
@@ -69,17 +62,6 @@ impl Turn {
             step: step.to_bits(),
         }
     }
-}
-
-/// sum p exp(-i k a) of two events for every k of `set`, which is without 0, ascending and side by
-/// side in `sums`, which have a pair for every k up to the highest; the bits of [`exponentials`].
-#[cfg(eecvs_dsp)]
-#[allow(unsafe_code)]
-#[inline(always)]
-pub fn two_exponentials(set: u32, turns: [&Turn; 2], sums: &mut [Sum]) {
-    // SAFETY: by the sums' length; lines are read at rows below `ROWS + QUARTER`. The build script sets
-    // `eecvs_dsp` only for cores that have the instructions.
-    unsafe { dsp::two_exponentials(set, sums.as_mut_ptr(), turns[0], turns[1]) }
 }
 
 /// [`exponentials`] of some events that have been turned.
@@ -183,13 +165,14 @@ mod portable {
 /// The compiler takes 13 instructions for a number where these are 5 or, of a complex one, 4.
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
-mod dsp {
+pub mod dsp {
     use core::arch::naked_asm;
 
     use heapless::Vec;
 
     use super::{CHUNK_EVENTS, DISTANCE_AT, LINES, ONE, QUARTER, ROW_AT, Sum, Turn};
 
+    /// As the one beside this module.
     #[inline(always)]
     pub fn cosines(turns: impl Iterator<Item = Turn>, sums: &mut [Sum]) {
         let sums = sums.get_mut(1..).unwrap_or_default();
@@ -204,6 +187,7 @@ mod dsp {
         unsafe { add_cosines(sums.as_mut_ptr(), sums.len(), turns.as_ptr(), turns.len()) }
     }
 
+    /// As the one beside this module.
     #[inline(always)]
     pub fn exponentials(turns: impl Iterator<Item = Turn>, sums: &mut [[Sum; 2]]) {
         let mut all = Vec::new();
@@ -253,42 +237,46 @@ mod dsp {
         };
     }
 
-    /// [`super::Two::exponentials`]: of every k of `set` but 0, ascending.
+    /// sum p exp(-i k a) of two events for every k of `set`, ascending and side by side; the bits of
+    /// [`super::exponentials`].
     ///
     /// # Safety
     /// `sums` has room for as many pairs; the core has the DSP instructions.
     #[unsafe(naked)]
-    pub(super) unsafe extern "C" fn two_exponentials(set: u32, sums: *mut Sum, a: &Turn, b: &Turn) {
+    pub unsafe extern "C" fn two_exponentials(set: u32, sums: *mut Sum, turns: &[Turn; 2]) {
         naked_asm!(
             "push {{r4-r11, lr}}",
-            "movs r0, r0",
+            // The phases of k = -1.
+            "ldm r2, {{r2, r3, r12, lr}}",
+            "subs r2, r2, r3",
+            "sub r12, r12, lr",
+            "rbit r0, r0",
+            "cmp r0, #0",
             "beq 3f",
             "movw r4, #:lower16:{lines}",
             "movt r4, #:upper16:{lines}",
             "add r5, r4, #{imaginary}",
             "mov r6, #{one}",
-            "ldrd r12, lr, [r3]",
-            "ldrd r2, r3, [r2]",
             "2:",
-            "rbit r7, r0",
-            "clz r7, r7",
-            "mla r8, r7, r3, r2",
-            "mla r9, r7, lr, r12",
-            "lsrs r7, r8, #{row_at}",
-            "pkhtb r8, r6, r8, asr #{distance_at}",
+            "clz r7, r0",
+            "add r7, r7, #1",
+            // The last one leaves nothing, and nothing below changes the flags.
+            "lsls r0, r0, r7",
+            "mla r2, r7, r3, r2",
+            "mla r12, r7, lr, r12",
+            "lsr r7, r2, #{row_at}",
+            "pkhtb r8, r6, r2, asr #{distance_at}",
             "ldr r10, [r4, r7, lsl #2]",
             "ldr r11, [r5, r7, lsl #2]",
             "smuad r10, r10, r8",
             "smuad r11, r11, r8",
-            "lsrs r7, r9, #{row_at}",
-            "pkhtb r9, r6, r9, asr #{distance_at}",
+            "lsr r7, r12, #{row_at}",
+            "pkhtb r9, r6, r12, asr #{distance_at}",
             "ldr r8, [r4, r7, lsl #2]",
             "ldr r7, [r5, r7, lsl #2]",
             "smlad r10, r8, r9, r10",
             "smlad r11, r7, r9, r11",
             "strd r10, r11, [r1], #8",
-            "subs r7, r0, #1",
-            "ands r0, r7",
             "bne 2b",
             "3:",
             "pop {{r4-r11, pc}}",
