@@ -44,7 +44,7 @@ struct Walk<'w, 's, 'o> {
     level_shift: u32,
     /// Bits of a level of one event, less 2.
     level_bits: u32,
-    counts: *const [[u32; 2]; CHUNK_EVENTS + 1],
+    counts: *const Counts,
     /// The same as `limit` for one that the assembly leaves to [`seven_long`].
     limit_long: *mut [u8; 4],
     heads: *mut Head,
@@ -183,7 +183,8 @@ pub fn walk(
 /// what is to be added where the gap's code ends, besides the ON events.
 ///
 /// The 1s above the gap's code and above n's are taken off there.
-const COUNTS: [[u32; 2]; CHUNK_EVENTS + 1] = {
+pub type Counts = [[u32; 2]; CHUNK_EVENTS + 1];
+const COUNTS: Counts = {
     let mut counts = [[0; 2]; CHUNK_EVENTS + 1];
     let mut n = 2;
     while n <= CHUNK_EVENTS as u32 {
@@ -215,13 +216,18 @@ const SIDE_BITS_MAX: usize = 8;
 #[repr(C)]
 struct Tables {
     side_by_side: [[u32; 4]; SIDE_BITS_MAX],
-    counts: [[u32; 2]; CHUNK_EVENTS + 1],
+    counts: Counts,
 }
 
 static TABLES: Tables = Tables {
     side_by_side: SIDE_BY_SIDE,
     counts: COUNTS,
 };
+
+/// [`Counts`].
+pub const fn counts() -> &'static Counts {
+    &TABLES.counts
+}
 
 // What the assembly takes for granted. Both counts fit half a word, and a link's sign tells the end.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000);
@@ -419,6 +425,9 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "stm lr, {{r1-r3}}",
         "ldr r1, [r0, #{tally_limit} - {copied}]",
         "str r1, [sp, #160]",
+        "ldr r1, [r0, #{waves} - {copied}]",
+        "adds r1, #{common}",
+        "str r1, [sp, #132]",
         "bl 40f",
         "mov r11, #0x8000",
         "mov r8, #0",
@@ -726,9 +735,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "add r11, r11, r3, lsr #16",
         "add r0, sp, #100",
         "stm r0, {{r1, r3, r4, r7, r11, r12, lr}}",
-        "ldr r4, [sp, #156]",
-        "ldr r7, [r4, #{waves}]",
-        "adds r7, #{common}",
+        "ldr r7, [sp, #132]",
         "cmp r3, #0x30000",
         "bhs 22f",
         "mov r0, r7",
@@ -738,7 +745,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "cmp r0, #0",
         "bne 23f",
         "22:",
-        "mov r0, r4",
+        "ldr r0, [sp, #156]",
         "ldr r1, [sp, #104]",
         "ldr r2, [sp, #124]",
         "bl {choose}",

@@ -8,6 +8,7 @@ use core::arch::naked_asm;
 use core::mem::{MaybeUninit, offset_of};
 
 use crate::bits::{BitWriter, Position};
+use crate::few_dsp::{self, Counts};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, FRACTION_BITS, Sum};
 use crate::group::Impulses;
 use crate::pack::{Packer, put_levels};
@@ -57,6 +58,7 @@ pub struct Common {
     /// From an offset to u / 2: [`PhaseScale::parts`].
     phase_shift: u32,
     reciprocal: u32,
+    counts: &'static Counts,
 }
 
 // What the assembly takes for granted.
@@ -64,7 +66,9 @@ const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000 && NEXT_SHIFT == 1
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Turn>() == 8);
 const _: () = assert!(offset_of!(Common, shift) == 4 && offset_of!(Common, one_bits) == 8);
 const _: () = assert!(offset_of!(Common, grid) == 12 && offset_of!(Common, gap_zeros) == 20);
-const _: () = assert!(offset_of!(Common, phase_shift) == 24);
+const _: () = assert!(offset_of!(Common, phase_shift) == 24 && offset_of!(Common, counts) == 32);
+// ON events leave the three bits below n's free.
+const _: () = assert!(CHUNK_EVENTS < 1 << 13 && size_of::<[u32; 2]>() == 8);
 
 /// Words that a pixel takes at the most, with levels of up to 32 bits.
 pub const fn words_max(shape: Shape) -> usize {
@@ -90,6 +94,7 @@ impl<'e> Waves<'e> {
             gap_zeros: 30_u32.wrapping_sub(order),
             phase_shift,
             reciprocal,
+            counts: few_dsp::counts(),
         };
         Self {
             shape,
@@ -161,8 +166,12 @@ impl<'e> Waves<'e> {
             turns_of(&self.common, slots.as_ptr(), head, memory.as_mut_ptr());
             core::slice::from_raw_parts(memory.as_ptr().cast::<Turn>(), events as usize)
         };
-        let (pairs, _) = self.sums.as_chunks_mut();
-        wave::exponentials_of(turns, pairs.get_mut(..self.shape.grid).unwrap_or_default());
+        // SAFETY: there are K pairs of sums, and the turns.
+        unsafe {
+            let (sums, pairs) = (self.sums.as_mut_ptr().cast::<[Sum; 2]>(), self.shape.grid);
+            let (first, len) = (turns.as_ptr(), turns.len());
+            wave::dsp::add_exponentials(sums.wrapping_add(1), pairs - 1, first, len);
+        }
         if let Some(zeroth) = self.sums.first_chunk_mut() {
             let sum = (2 * on).wrapping_sub(events).cast_signed();
             *zeroth = [Sum::from_integer(sum), Sum::ZERO];
@@ -323,12 +332,12 @@ unsafe extern "C" fn gather(sums: *mut Sum, set: u32) {
     )
 }
 
-/// Appends `$value`; overwrites `$bits`, which it has no bits beyond.
+/// Appends `$value`, which has no bits beyond its `$bits`; overwrites `$tmp`, which may be `$bits`.
 ///
 /// r9: bits of the next word; r8: 0; r10: the bit where the value goes; r12: where the word goes;
 /// r11: another register.
 macro_rules! put {
-    ($value:literal, $bits:literal) => {
+    ($value:literal, $bits:literal, $tmp:literal) => {
         concat!(
             // What the word has no room for is in r8.
             "umlal r9, r8, ",
@@ -342,12 +351,12 @@ macro_rules! put {
             "mov r9, r8\n",
             "mov r8, #0\n",
             "rsb ",
-            $bits,
+            $tmp,
             ", ",
             $bits,
             ", #0\n",
             "ror r11, r10, ",
-            $bits,
+            $tmp,
             "\n",
             "2:\n",
             "mov r10, r11\n",
@@ -421,30 +430,21 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "add lr, r11, #32",
         // The gap's code in r1, with a 1 above it; r5: its bits.
         "ldr r5, [r0, #20]",
-        "clz r7, r1",
-        "subs r5, r5, r7",
+        "clz r6, r1",
+        "subs r5, r5, r6",
         "lsls r1, r5",
-        "subs r5, r5, r7",
+        "subs r5, r5, r6",
         "adds r5, #31",
-        // n, whose code has its 1 from the gap's. r7: log2 of n.
-        "lsrs r6, r2, #16",
-        "clz r7, r6",
-        "rsb r7, r7, #31",
-        "lsls r6, r6, #1",
-        "adds r6, #1",
-        "lsls r6, r7",
-        "subs r6, #1",
-        "lsls r6, r5",
-        "adds r1, r1, r6",
-        "add r5, r5, r7, lsl #1",
-        "adds r5, #1",
-        // ON events, with the 1 above n's code taken off.
-        "uxth r2, r2",
-        "subs r2, #1",
+        // n and the ON events behind it; what the 1s above both come to is taken off.
+        "ldr r6, [r0, #32]",
+        "add r6, r6, r2, lsr #13",
+        "ldrd r6, r11, [r6]",
+        "smlabt r2, r2, r6, r11",
         "lsls r2, r5",
         "adds r1, r1, r2",
+        "uxtah r5, r5, r6",
         "adds r5, r5, r7",
-        "adds r5, #1",
+        "subs r5, #32",
         "cmp r5, #31",
         "bhi 9f",
         // The set, of which a bit is enough where it is the lowest k.
@@ -464,11 +464,11 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "mov r8, #0",
         "ldr r12, [sp, #4]",
         "movs r2, #1",
-        put!("r1", "r5"),
-        put!("r3", "r7"),
+        put!("r1", "r5", "r5"),
+        put!("r3", "r7", "r7"),
         "lsl r1, r2, lr",
         "add lr, lr, #1",
-        put!("r1", "lr"),
+        put!("r1", "lr", "lr"),
         // r2: sums; r4: pairs; r7: shift; r6: bits of a level; r5: 2^bits; r3: the highest bit of each
         // of two levels, later of four.
         "lsl r5, r2, r6",
@@ -483,23 +483,39 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "mla r3, r3, r5, r1",
         "lsls r6, r6, #2",
         "cmp r6, #32",
-        "beq 10f",
+        "beq 11f",
+        "12:",
         "3:",
         four!(),
-        "mov r1, r6",
-        put!("r0", "r1"),
+        put!("r0", "r6", "r1"),
         "subs r4, #2",
         "bhs 3b",
         "b 4f",
-        // Whole words.
+        // Bytes, which are in the upper halves of the sums: whole words. r6 and r7: what brings them to
+        // the upper and to the lower byte of a half.
+        "11:",
+        "cmp r7, #16",
+        "blo 12b",
+        "mov r3, #0x00ff00ff",
+        "rsb r6, r7, #24",
+        "subs r7, #16",
         "10:",
-        four!(),
+        "ldm r2!, {{r0, r1, r11, lr}}",
+        "pkhtb r0, r11, r0, asr #16",
+        "pkhtb r1, lr, r1, asr #16",
+        "lsrs r0, r7",
+        "ands r0, r3",
+        "lsls r1, r6",
+        "bic r1, r1, r3",
+        "orrs r0, r1",
         "umlal r9, r8, r0, r10",
         "str r9, [r12], #4",
         "mov r9, r8",
         "mov r8, #0",
         "subs r4, #2",
         "bhs 10b",
+        "adds r7, #16",
+        "movs r6, #32",
         "4:",
         "lsrs r6, r6, #2",
         "lsrs r1, r5, #1",
@@ -517,8 +533,7 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "mla r0, r1, r5, r0",
         "adds r0, r0, r3",
         "eors r0, r3",
-        "mov r1, r6",
-        put!("r0", "r1"),
+        put!("r0", "r6", "r1"),
         "subs r4, #1",
         "bne 5b",
         "8:",

@@ -64,13 +64,6 @@ impl Turn {
     }
 }
 
-/// [`exponentials`] of some events that have been turned.
-#[cfg(eecvs_dsp)]
-#[inline(always)]
-pub fn exponentials_of(turns: &[Turn], sums: &mut [[Sum; 2]]) {
-    dsp::exponentials_of(turns, sums);
-}
-
 /// The weights of a line at a phase.
 #[inline(always)]
 const fn weights(phase: u32) -> u32 {
@@ -190,14 +183,9 @@ pub mod dsp {
     /// As the one beside this module.
     #[inline(always)]
     pub fn exponentials(turns: impl Iterator<Item = Turn>, sums: &mut [[Sum; 2]]) {
-        let mut all = Vec::new();
-        exponentials_of(collect(turns, &mut all), sums);
-    }
-
-    /// As the one beside this module.
-    #[inline(always)]
-    pub fn exponentials_of(turns: &[Turn], sums: &mut [[Sum; 2]]) {
         let sums = sums.get_mut(1..).unwrap_or_default();
+        let mut all = Vec::new();
+        let turns = collect(turns, &mut all);
         if turns.is_empty() {
             return sums.fill([Sum::ZERO; 2]);
         }
@@ -432,7 +420,7 @@ pub mod dsp {
     /// # Safety
     /// As for [`add_cosines`], with pairs.
     #[unsafe(naked)]
-    unsafe extern "C" fn add_exponentials(
+    pub unsafe extern "C" fn add_exponentials(
         sums: *mut [Sum; 2],
         len: usize,
         turns: *const Turn,
