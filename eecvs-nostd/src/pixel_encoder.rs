@@ -183,7 +183,10 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         while writer.has_words(words) {
             trace.enter(Stage::Group);
             let memory = (&mut *self.scratch.sums, &mut *self.scratch.magnitudes);
-            let mut waves = Waves::new(self.shape, self.scale, memory, &self.packer);
+            let Some(mut waves) = Waves::new(self.shape, self.scale, memory, &self.packer) else {
+                // Never: `Config::check` asks for the memory.
+                break;
+            };
             if !T::LISTENS {
                 let room = (&mut *writer, words);
                 let all = (&mut *group, &mut *window);

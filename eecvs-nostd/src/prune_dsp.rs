@@ -42,36 +42,38 @@ const DISTANCES: Search = Search {
 };
 
 /// The r largest |c_k| of a pixel's pairs of sums of up to a chunk of `events`, as a bit each, ties
-/// to the lower k; `keys` has room for K.
+/// to the lower k.
+///
+/// # Safety
+/// [`is_for`] holds of `shape`, there are 2K `sums`, and `keys` has room for K.
 #[inline(always)]
-pub fn largest(sums: &[Sum], events: u32, shape: Shape, keys: &mut [u32]) -> u32 {
-    if shape.grid <= GRID_MAX / 2 {
-        largest_in::<4>(sums, events, shape, keys)
-    } else {
-        largest_in::<8>(sums, events, shape, keys)
+pub unsafe fn largest(sums: *const Sum, events: u32, shape: Shape, keys: *mut u32) -> u32 {
+    // SAFETY: by the caller.
+    unsafe {
+        if shape.grid <= GRID_MAX / 2 {
+            largest_in::<4>(sums, events, shape, keys)
+        } else {
+            largest_in::<8>(sums, events, shape, keys)
+        }
     }
 }
 
+/// # Safety
+/// As for [`largest`]; K is at most 4 W.
 #[inline(always)]
-fn largest_in<const W: usize>(sums: &[Sum], events: u32, shape: Shape, keys: &mut [u32]) -> u32 {
+unsafe fn largest_in<const W: usize>(
+    sums: *const Sum,
+    events: u32,
+    shape: Shape,
+    keys: *mut u32,
+) -> u32 {
     let Shape { grid, r, .. } = shape;
-    let (Some(sums), Some(keys)) = (sums.get(..2 * grid), keys.get_mut(..grid)) else {
-        return 0;
-    };
     let mut lanes = [0; W];
     // As `Coefficient::relative`.
-    let shift = events.leading_zeros().wrapping_sub(26);
-    // SAFETY: `squares` reads 2K sums and writes K keys and K / 4 words, 1 to W: see `is_for`. The
-    // build script sets `eecvs_dsp` only for cores that have the instructions.
-    let mut below = unsafe {
-        squares(
-            sums.as_ptr(),
-            keys.as_mut_ptr(),
-            grid,
-            shift & 31,
-            lanes.as_mut_ptr(),
-        )
-    };
+    let shift = events.leading_zeros().wrapping_sub(26) & 31;
+    // SAFETY: `squares` reads 2K sums and writes K keys and K / 4 words, 1 to W. The build script sets
+    // `eecvs_dsp` only for cores that have the instructions.
+    let mut below = unsafe { squares(sums, keys, grid, shift, lanes.as_mut_ptr()) };
     let (mut base, mut search) = (0, SQUARES);
     loop {
         let kept = separate(&mut lanes, r as u32, search);
@@ -80,6 +82,8 @@ fn largest_in<const W: usize>(sums: &[Sum], events: u32, shape: Shape, keys: &mu
         }
         if below == 0 {
             // Equal ones.
+            // SAFETY: `squares` has written K keys.
+            let keys = unsafe { core::slice::from_raw_parts(keys, grid) };
             return prune::largest_bits(keys, r as u32);
         }
         // More than r have this byte or a higher one, fewer a higher one: the eight bits below it.
@@ -87,7 +91,7 @@ fn largest_in<const W: usize>(sums: &[Sum], events: u32, shape: Shape, keys: &mu
         below = below.saturating_sub(8);
         search = REST;
         // SAFETY: as above.
-        unsafe { zoom(keys.as_ptr(), lanes.as_mut_ptr(), grid, base, below) };
+        unsafe { zoom(keys, lanes.as_mut_ptr(), grid, base, below) };
     }
 }
 
@@ -96,8 +100,8 @@ fn largest_in<const W: usize>(sums: &[Sum], events: u32, shape: Shape, keys: &mu
 #[inline(always)]
 fn separate<const W: usize>(lanes: &mut [u32; W], r: u32, search: Search) -> u32 {
     let Search { first, lowest } = search;
-    // SAFETY: both read W words and write the first. The build script sets `eecvs_dsp` only for cores that have the
-    // instructions.
+    // SAFETY: both read W words and write the first. The build script sets `eecvs_dsp` only for cores
+    // that have the instructions.
     unsafe {
         if W == 4 {
             separate_16(lanes.as_mut_ptr(), r, first, lowest)
@@ -117,28 +121,21 @@ fn separate<const W: usize>(lanes: &mut [u32; W], r: u32, search: Search) -> u32
 /// between 8 / 512 and 248 / 512, |c|^2 is more than 1.2e-3 above; errors of 2^-15.1 of an atom's
 /// parts make at most 2 * 4 * sqrt 2 * 2 * 2^-15.1 = 6.5e-4.
 ///
-/// `turns` are polarity << 31 and u of either; `lanes` has 8 words for the bytes.
+/// For assembly alone. r0: 8 words for the bytes; r1: polarities that differ << 31; r2: K; r3: r; r4:
+/// u - u'. Overwrites r5 to r8, r10 and r11 too.
 ///
 /// # Safety
-/// `shape` has K and r that [`is_for`] holds of.
+/// [`is_for`] holds of K and r.
 #[unsafe(naked)]
-pub unsafe extern "C" fn of_two(
-    shape: &[u32; 2],
-    turns: &[[u32; 2]; 2],
-    lanes: &mut [u32; 8],
-) -> u32 {
+pub unsafe extern "C" fn of_two() {
     naked_asm!(
-        "push {{r0, r2, r4-r8, lr}}",
-        "ldm r1, {{r1, r3, r4, r5}}",
-        // r3: 1, and half a turn of 16 bits where the polarities are the same: all multiples of the
+        // r1: 1, and half a turn of 16 bits where the polarities are the same: all multiples of the
         // difference are even, and none is -2^15, which has no magnitude.
-        "eors r1, r4",
         "mvns r1, r1",
         "lsrs r1, r1, #31",
         "lsls r1, r1, #15",
         "adds r1, #1",
-        "subs r4, r3, r5",
-        "pkhbt r3, r1, r1, lsl #16",
+        "pkhbt r7, r1, r1, lsl #16",
         // r1: the difference in both halves.
         "add r1, r4, #0x10000",
         "lsrs r1, r1, #17",
@@ -146,42 +143,43 @@ pub unsafe extern "C" fn of_two(
         "pkhbt r1, r1, r1, lsl #16",
         "uadd16 r4, r1, r1",
         // r5: k = 0 and 2, r6: k = 1 and 3, r4: what brings both to the next four.
-        "uadd16 r5, r3, r4",
-        "pkhbt r5, r3, r5",
+        "uadd16 r5, r7, r4",
+        "pkhbt r5, r7, r5",
         "uadd16 r6, r5, r1",
         "uadd16 r4, r4, r4",
         "mov r7, #0x00ff00ff",
-        "mov r8, #0xff00ff00",
+        "mov r10, #0xff00ff00",
+        "mov r11, r0",
         "mov r12, #0",
-        "ldr r3, [r0]",
-        "lsls r1, r3, #28",
-        "beq 2f",
+        "lsls r1, r2, #28",
+        "beq 3f",
         // Lanes without a key are below all others.
-        "mov lr, r12",
-        "strd r12, lr, [r2]",
-        "strd r12, lr, [r2, #8]",
-        "strd r12, lr, [r2, #16]",
-        "strd r12, lr, [r2, #24]",
+        "mov r8, r12",
+        "strd r8, r12, [r0]",
+        "strd r8, r12, [r0, #8]",
+        "strd r8, r12, [r0, #16]",
+        "strd r8, r12, [r0, #24]",
+        "3:",
+        "add r8, r0, r2",
         "2:",
         "ssub16 r1, r12, r5",
         "sel r1, r1, r5",
-        "ssub16 lr, r12, r6",
-        "sel lr, lr, r6",
         "and r1, r7, r1, lsr #7",
-        "and lr, r8, lr, lsl #1",
-        "orr r1, r1, lr",
-        "str r1, [r2], #4",
         "uadd16 r5, r5, r4",
+        "ssub16 r2, r12, r6",
+        "sel r2, r2, r6",
+        "and r2, r10, r2, lsl #1",
+        "orrs r1, r2",
+        "str r1, [r0], #4",
         "uadd16 r6, r6, r4",
-        "subs r3, #4",
+        "cmp r0, r8",
         "bne 2b",
-        "pop {{r1, r4}}",
-        "mov r0, r4",
-        "ldrd r4, r1, [r1]",
+        "mov r0, r11",
+        "mov r1, r3",
         "mov r2, #{first}",
         "mov r3, #{lowest}",
-        "cmp r4, #16",
-        "pop {{r4-r8, lr}}",
+        "sub r8, r8, r0",
+        "cmp r8, #16",
         "bls {separate_16}",
         "b {separate_32}",
         separate_16 = sym separate_16,

@@ -46,27 +46,29 @@ pub struct Waves<'e> {
 #[derive(Debug)]
 #[repr(C)]
 pub struct Common {
+    r: u32,
     sums: *mut Sum,
     /// From sums to levels.
     shift: u32,
     /// Bits of a level of one event.
     one_bits: u32,
-    grid: u32,
-    r: u32,
     /// Zeros before 2 2^g + 1, for a gap code of order g.
     gap_zeros: u32,
+    counts: &'static Counts,
+    grid: u32,
+    /// k = 0..r, as a bit each.
+    low: u32,
     /// From an offset to u / 2: [`PhaseScale::parts`].
     phase_shift: u32,
     reciprocal: u32,
-    counts: &'static Counts,
 }
 
 // What the assembly takes for granted.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000 && NEXT_SHIFT == 16);
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Turn>() == 8);
-const _: () = assert!(offset_of!(Common, shift) == 4 && offset_of!(Common, one_bits) == 8);
-const _: () = assert!(offset_of!(Common, grid) == 12 && offset_of!(Common, gap_zeros) == 20);
-const _: () = assert!(offset_of!(Common, phase_shift) == 24 && offset_of!(Common, counts) == 32);
+const _: () = assert!(offset_of!(Common, sums) == 4 && offset_of!(Common, shift) == 8);
+const _: () = assert!(offset_of!(Common, gap_zeros) == 16 && offset_of!(Common, grid) == 24);
+const _: () = assert!(offset_of!(Common, phase_shift) == 32);
 // ON events leave the three bits below n's free.
 const _: () = assert!(CHUNK_EVENTS < 1 << 13 && size_of::<[u32; 2]>() == 8);
 
@@ -76,32 +78,36 @@ pub const fn words_max(shape: Shape) -> usize {
 }
 
 impl<'e> Waves<'e> {
+    /// `None` where there is less memory than 2K numbers each.
     pub fn new(
         shape: Shape,
         scale: PhaseScale,
         (sums, numbers): (&'e mut [Sum], &'e mut [u32]),
         packer: &Packer,
-    ) -> Self {
+    ) -> Option<Self> {
+        let sums = sums.get_mut(..2 * shape.grid)?;
+        let numbers = numbers.get_mut(..2 * shape.grid)?;
         let (shift, one_bits) = packer.level_parts();
         let (order, _) = packer.gap_parts();
         let (phase_shift, reciprocal) = scale.parts();
         let common = Common {
+            r: shape.r as u32,
             sums: sums.as_mut_ptr(),
             shift,
             one_bits,
-            grid: shape.grid as u32,
-            r: shape.r as u32,
             gap_zeros: 30_u32.wrapping_sub(order),
+            counts: few_dsp::counts(),
+            grid: shape.grid as u32,
+            low: !(u32::MAX << (shape.r as u32 & 31)),
             phase_shift,
             reciprocal,
-            counts: few_dsp::counts(),
         };
-        Self {
+        Some(Self {
             shape,
             sums,
             numbers,
             common,
-        }
+        })
     }
 
     /// Encodes a pixel of 2 to a chunk of events: `gap` is twice its gap plus 2^g, and 1; `tally` its
@@ -172,12 +178,14 @@ impl<'e> Waves<'e> {
             let (first, len) = (turns.as_ptr(), turns.len());
             wave::dsp::add_exponentials(sums.wrapping_add(1), pairs - 1, first, len);
         }
-        if let Some(zeroth) = self.sums.first_chunk_mut() {
-            let sum = (2 * on).wrapping_sub(events).cast_signed();
-            *zeroth = [Sum::from_integer(sum), Sum::ZERO];
-        }
         trace.enter(Stage::Prune);
-        let kept = prune_dsp::largest(self.sums, events, self.shape, self.numbers);
+        let zeroth = (2 * on).wrapping_sub(events).cast_signed();
+        // SAFETY: there are as many sums and numbers, and `new` is asked for shapes that this is for.
+        let kept = unsafe {
+            let sums = self.sums.as_mut_ptr();
+            *sums.cast() = [Sum::from_integer(zeroth), Sum::ZERO];
+            prune_dsp::largest(sums, events, self.shape, self.numbers.as_mut_ptr())
+        };
         trace.enter(Stage::Quantise);
         // SAFETY: the set has no index of K or above, and there are 2K sums.
         unsafe { gather(self.sums.as_mut_ptr(), kept & !1) };
@@ -201,10 +209,11 @@ impl<'e> Waves<'e> {
             one_bits,
             grid,
             r,
+            low,
             ..
         } = self.common;
         packer.place_after(shifted, (on, events - on), writer);
-        if kept == !(u32::MAX << (r & 31)) {
+        if kept == low {
             writer.put_clean(1, 1);
         } else {
             writer.put_clean(0, 1);
@@ -233,18 +242,18 @@ const PAIR_BITS_MAX: u32 = 16;
 const FOUR_BITS_MAX: u32 = 8;
 
 /// A pixel of two events, whose list begins at `head`: the sums of what is kept of it, but for k = 0,
-/// side by side; returns which, or 0 where all sums have to tell.
+/// side by side; returns which, or 0 where all sums have to tell, and in the Z flag whether it is 0.
 ///
 /// # Safety
 /// Every link is a slot or the end, and `common` has 2K sums.
 #[unsafe(naked)]
 pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> u32 {
     naked_asm!(
-        "push {{r4-r7, lr}}",
+        "push {{r4-r11, lr}}",
         // At sp: 32 bytes of lanes, two turns.
         "sub sp, #52",
-        "mov r4, r0",
-        "ldrd r6, r7, [r0, #24]",
+        "mov r9, r0",
+        "ldrd r6, r7, [r0, #32]",
         "add r2, r1, r2, lsl #3",
         "ldrd r0, r5, [r2]",
         "lsls r0, r6",
@@ -254,26 +263,29 @@ pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> 
         "strd r2, r3, [sp, #32]",
         "lsrs r5, r5, #16",
         "add r1, r1, r5, lsl #3",
-        "ldrd r0, r5, [r1]",
+        "ldrd r0, r1, [r1]",
         "lsls r0, r6",
-        "umull r12, r3, r0, r7",
-        "lsls r3, r3, #1",
-        "lsls r2, r5, #31",
-        "strd r2, r3, [sp, #40]",
-        "add r0, r4, #12",
-        "add r1, sp, #32",
-        "mov r2, sp",
+        "umull r12, r5, r0, r7",
+        "lsls r5, r5, #1",
+        "lsls r4, r1, #31",
+        "strd r4, r5, [sp, #40]",
+        "eor r1, r2, r4",
+        "subs r4, r3, r5",
+        "mov r0, sp",
+        "ldr r2, [r9, #24]",
+        "ldr r3, [r9]",
         "bl {of_two}",
         "movs r5, r0",
         "beq 2f",
         "bic r0, r0, #1",
-        "ldr r1, [r4]",
+        "ldr r1, [r9, #4]",
         "add r2, sp, #32",
         "bl {two_exponentials}",
-        "mov r0, r5",
+        "movs r0, r5",
+        // The Z flag tells whether that is 0.
         "2:",
         "add sp, #52",
-        "pop {{r4-r7, pc}}",
+        "pop {{r4-r11, pc}}",
         of_two = sym prune_dsp::of_two,
         two_exponentials = sym wave::dsp::two_exponentials,
     )
@@ -292,7 +304,7 @@ unsafe extern "C" fn turns_of(
 ) {
     naked_asm!(
         "push {{r4-r6, lr}}",
-        "ldrd r0, r12, [r0, #24]",
+        "ldrd r0, r12, [r0, #32]",
         "2:",
         "add r2, r1, r2, lsl #3",
         "ldrd r4, r2, [r2]",
@@ -383,7 +395,7 @@ macro_rules! four {
 
 /// Puts a pixel of 2 to a chunk of events, whose pairs of sums of `kept` but k = 0 stand side by side;
 /// `gap` and `tally` as [`Waves::encode`] has them. Returns 0, and nothing has changed, where levels
-/// have over 16 bits, there are none, or the place has over 31 bits.
+/// have over 16 bits, there are none, or the place has over 31 bits; the Z flag tells that too.
 ///
 /// The output's state is in registers: r9 the bits of the next word, r10 the bit after them, r12 where
 /// the word goes, r8 is 0. Overwrites r0 to r7 and r11.
@@ -395,8 +407,7 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
     naked_asm!(
         "push {{r0, r12, lr}}",
         // r4: pairs; r7: zeros before n - 1.
-        "ldr r12, [r0]",
-        "ldr r4, [r0, #16]",
+        "ldrd r4, r12, [r0]",
         "and r5, r3, #1",
         "subs r4, r4, r5",
         "beq 9f",
@@ -419,7 +430,7 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "bne 3b",
         "4:",
         // r8: bits of a level; lr: zeros before them.
-        "ldrd r8, r11, [r0, #4]",
+        "ldrd r8, r11, [r0, #8]",
         "lsrs r5, r8",
         "clz r5, r5",
         "rsb r8, r5, #33",
@@ -429,15 +440,14 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "sub r11, r11, r8",
         "add lr, r11, #32",
         // The gap's code in r1, with a 1 above it; r5: its bits.
-        "ldr r5, [r0, #20]",
+        "ldrd r5, r11, [r0, #16]",
         "clz r6, r1",
         "subs r5, r5, r6",
         "lsls r1, r5",
         "subs r5, r5, r6",
         "adds r5, #31",
         // n and the ON events behind it; what the 1s above both come to is taken off.
-        "ldr r6, [r0, #32]",
-        "add r6, r6, r2, lsr #13",
+        "add r6, r11, r2, lsr #13",
         "ldrd r6, r11, [r6]",
         "smlabt r2, r2, r6, r11",
         "lsls r2, r5",
@@ -448,14 +458,12 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "cmp r5, #31",
         "bhi 9f",
         // The set, of which a bit is enough where it is the lowest k.
-        "ldrd r7, r6, [r0, #12]",
+        "ldrd r7, r6, [r0, #24]",
         "movs r2, #1",
-        "lsl r6, r2, r6",
-        "subs r6, #1",
         "cmp r3, r6",
         "bne 5f",
-        "lsls r2, r5",
-        "orrs r1, r2",
+        "lsl r6, r2, r5",
+        "orrs r1, r6",
         "movs r3, #0",
         "movs r7, #0",
         "5:",
@@ -463,7 +471,6 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "mov r6, r8",
         "mov r8, #0",
         "ldr r12, [sp, #4]",
-        "movs r2, #1",
         put!("r1", "r5", "r5"),
         put!("r3", "r7", "r7"),
         "lsl r1, r2, lr",
@@ -472,7 +479,7 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         // r2: sums; r4: pairs; r7: shift; r6: bits of a level; r5: 2^bits; r3: the highest bit of each
         // of two levels, later of four.
         "lsl r5, r2, r6",
-        "ldrd r2, r7, [r0]",
+        "ldrd r2, r7, [r0, #4]",
         "lsrs r1, r5, #1",
         "mla r3, r1, r5, r1",
         "cmp r6, #{four_bits_max}",
