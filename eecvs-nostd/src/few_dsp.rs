@@ -750,7 +750,6 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "bl {choose}",
         "23:",
         "mov r3, r0",
-        "str r0, [sp, #128]",
         "mov r0, r7",
         "ldrd r1, r2, [sp, #100]",
         "ldr r12, [sp, #120]",
@@ -765,7 +764,9 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "lsls r4, r4, #1",
         "bne 1b",
         "b 6b",
+        // As `put` has left r3.
         "21:",
+        "str r3, [sp, #128]",
         "bl 41f",
         "ldr r0, [sp, #156]",
         "ldrd r1, r2, [sp, #100]",

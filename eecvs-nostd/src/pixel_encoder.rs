@@ -92,7 +92,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
     ) -> u32 {
         let events = pixel.on + pixel.off;
         if events == 1 {
-            self.encode_single::<B, T>(pixel, slots, writer, trace);
+            encode_single::<B, T>((self.scale, &mut self.packer), pixel, slots, writer, trace);
             return 0;
         }
         // In an image the pixels that have no code of their own share that of the widest sums.
@@ -154,7 +154,13 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
                 break;
             }
             match here {
-                1 => self.encode_single::<Dct, T>(pixel, slots, writer, trace),
+                1 => encode_single::<Dct, T>(
+                    (self.scale, &mut self.packer),
+                    pixel,
+                    slots,
+                    writer,
+                    trace,
+                ),
                 2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
                 _ => {
                     let saturates = self.encode_crowded::<Dct, T>(pixel, slots, writer, trace);
@@ -181,7 +187,6 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
         let words = waves_dsp::words_max(self.shape);
         while writer.has_words(words) {
-            trace.enter(Stage::Group);
             let memory = (&mut *self.scratch.sums, &mut *self.scratch.magnitudes);
             let Some(mut waves) = Waves::new(self.shape, self.scale, memory, &self.packer) else {
                 // Never: `Config::check` asks for the memory.
@@ -194,35 +199,44 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
                     few_dsp::walk(all, self.scale, &mut self.packer, room, Some(&mut waves));
                 events += some;
                 pixels += places;
+            }
+            let crowded = loop {
                 if !writer.has_words(words) {
-                    break;
+                    break None;
                 }
-            }
-            let Some(pixel) = group.next(window) else {
-                break;
-            };
-            let slots = window.slots();
-            let here = pixel.on + pixel.off;
-            if !T::LISTENS && here <= CHUNK_EVENTS_U32 {
-                // Never: the walk has all of these.
-                group.put_back(pixel);
-                break;
-            }
-            match here {
-                1 => self.encode_single::<Dtft, T>(pixel, slots, writer, trace),
-                2..=CHUNK_EVENTS_U32 => {
+                trace.enter(Stage::Group);
+                let Some(pixel) = group.next(window) else {
+                    break None;
+                };
+                let here = pixel.on + pixel.off;
+                if here > CHUNK_EVENTS_U32 {
+                    break Some(pixel);
+                }
+                if !T::LISTENS {
+                    // Never: the walk has all of these.
+                    group.put_back(pixel);
+                    break None;
+                }
+                let slots = window.slots();
+                if here == 1 {
+                    let packer = (self.scale, &mut self.packer);
+                    encode_single::<Dtft, T>(packer, pixel, slots, writer, trace);
+                } else {
                     let gap = 2 * self.packer.step((pixel.x, pixel.y)) + 1;
                     let tally = (here << 16) | pixel.on;
                     let impulses = Impulses::new(pixel, slots);
                     waves.encode((gap, tally), &impulses, &self.packer, writer, trace);
                 }
-                _ => {
-                    let saturates = self.encode_crowded::<Dtft, T>(pixel, slots, writer, trace);
-                    saturated = saturated.saturating_add(saturates);
-                }
-            }
-            events += here;
+                events += here;
+                pixels += 1;
+            };
+            let Some(pixel) = crowded else {
+                break;
+            };
+            events += pixel.on + pixel.off;
             pixels += 1;
+            let saturates = self.encode_crowded::<Dtft, T>(pixel, window.slots(), writer, trace);
+            saturated = saturated.saturating_add(saturates);
         }
         (events, pixels, saturated)
     }
@@ -282,7 +296,13 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
                 break;
             }
             match here {
-                1 => self.encode_single::<Dwt, T>(pixel, slots, writer, trace),
+                1 => encode_single::<Dwt, T>(
+                    (self.scale, &mut self.packer),
+                    pixel,
+                    slots,
+                    writer,
+                    trace,
+                ),
                 2..=CHUNK_EVENTS_U32 => self.encode_bytes::<W, T>(pixel, slots, writer, trace),
                 _ => {
                     let saturates = self.encode_crowded::<Dwt, T>(pixel, slots, writer, trace);
@@ -341,24 +361,6 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             .bytes(position, counts, (kept, levels, spread), writer);
     }
 
-    /// A pixel of one event, whose coefficients follow from its time.
-    #[inline(always)]
-    fn encode_single<B: Basis, T: Trace>(
-        &mut self,
-        pixel: Pixel,
-        slots: &[Slot],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) {
-        trace.enter(Stage::Accumulate);
-        let first = Impulses::new(pixel, slots).next();
-        let offset_us = first.map_or(0, |impulse| impulse.offset_us);
-        let cell = B::cell(self.scale, offset_us, self.packer.cells_log2());
-        trace.enter(Stage::Pack);
-        let position = (pixel.x, pixel.y);
-        self.packer.single(position, pixel.on == 1, cell, writer);
-    }
-
     /// A pixel of 2 events to a chunk's.
     #[inline(always)]
     fn encode_several<T: Trace>(
@@ -414,6 +416,23 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         };
         rest.encode::<B, WideSum, T>(pixel, totals, writer, trace)
     }
+}
+
+/// A pixel of one event, whose coefficients follow from its time.
+#[inline(always)]
+fn encode_single<B: Basis, T: Trace>(
+    (scale, packer): (PhaseScale, &mut Packer),
+    pixel: Pixel,
+    slots: &[Slot],
+    writer: &mut BitWriter<'_>,
+    trace: &mut T,
+) {
+    trace.enter(Stage::Accumulate);
+    let first = Impulses::new(pixel, slots).next();
+    let offset_us = first.map_or(0, |impulse| impulse.offset_us);
+    let cell = B::cell(scale, offset_us, packer.cells_log2());
+    trace.enter(Stage::Pack);
+    packer.single((pixel.x, pixel.y), pixel.on == 1, cell, writer);
 }
 
 /// c_0 = on - off.

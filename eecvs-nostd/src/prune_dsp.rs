@@ -121,13 +121,28 @@ fn separate<const W: usize>(lanes: &mut [u32; W], r: u32, search: Search) -> u32
 /// between 8 / 512 and 248 / 512, |c|^2 is more than 1.2e-3 above; errors of 2^-15.1 of an atom's
 /// parts make at most 2 * 4 * sqrt 2 * 2 * 2^-15.1 = 6.5e-4.
 ///
-/// For assembly alone. r0: 8 words for the bytes; r1: polarities that differ << 31; r2: K; r3: r; r4:
+/// For assembly alone. r0: 9 words for the bytes; r1: polarities that differ << 31; r2: K; r3: r; r4:
 /// u - u'. Overwrites r5 to r8, r10 and r11 too.
 ///
 /// # Safety
 /// [`is_for`] holds of K and r.
 #[unsafe(naked)]
 pub unsafe extern "C" fn of_two() {
+    // The bytes of four k.
+    macro_rules! word {
+        () => {
+            "ssub16 r1, r12, r5
+            sel r1, r1, r5
+            and r1, r7, r1, lsr #7
+            uadd16 r5, r5, r4
+            ssub16 r2, r12, r6
+            sel r2, r2, r6
+            and r2, r10, r2, lsl #1
+            orrs r1, r2
+            str r1, [r0], #4
+            uadd16 r6, r6, r4"
+        };
+    }
     naked_asm!(
         // r1: 1, and half a turn of 16 bits where the polarities are the same: all multiples of the
         // difference are even, and none is -2^15, which has no magnitude.
@@ -162,18 +177,12 @@ pub unsafe extern "C" fn of_two() {
         "3:",
         "add r8, r0, r2",
         "2:",
-        "ssub16 r1, r12, r5",
-        "sel r1, r1, r5",
-        "and r1, r7, r1, lsr #7",
-        "uadd16 r5, r5, r4",
-        "ssub16 r2, r12, r6",
-        "sel r2, r2, r6",
-        "and r2, r10, r2, lsl #1",
-        "orrs r1, r2",
-        "str r1, [r0], #4",
-        "uadd16 r6, r6, r4",
+        word!(),
+        word!(),
         "cmp r0, r8",
-        "bne 2b",
+        "blo 2b",
+        // What is beyond the last four.
+        "str r12, [r8]",
         "mov r0, r11",
         "mov r1, r3",
         "mov r2, #{first}",
@@ -203,6 +212,23 @@ unsafe extern "C" fn squares(
     shift: u32,
     lanes: *mut u32,
 ) -> u32 {
+    // The keys of two k.
+    macro_rules! two {
+        () => {
+            "ldm r0!, {{r4-r7}}
+            lsls r4, r3
+            lsls r5, r3
+            lsls r6, r3
+            lsls r7, r3
+            smmul r4, r4, r4
+            smmla r4, r5, r5, r4
+            smmul r5, r6, r6
+            smmla r5, r7, r7, r5
+            stm r1!, {{r4, r5}}
+            orr r12, r12, r4
+            orr r12, r12, r5"
+        };
+    }
     naked_asm!(
         "push {{r4-r9, lr}}",
         "mov r8, r1",
@@ -210,19 +236,9 @@ unsafe extern "C" fn squares(
         // r12: the bits of any.
         "mov r12, #0",
         "2:",
-        "ldm r0!, {{r4-r7}}",
-        "lsls r4, r3",
-        "lsls r5, r3",
-        "lsls r6, r3",
-        "lsls r7, r3",
-        "smmul r4, r4, r4",
-        "smmla r4, r5, r5, r4",
-        "smmul r5, r6, r6",
-        "smmla r5, r7, r7, r5",
-        "stm r1!, {{r4, r5}}",
-        "orr r12, r12, r4",
-        "orr r12, r12, r5",
-        "subs r2, #2",
+        two!(),
+        two!(),
+        "subs r2, #4",
         "bne 2b",
         "ldr r1, [sp, #28]",
         "clz r3, r12",

@@ -250,8 +250,8 @@ const FOUR_BITS_MAX: u32 = 8;
 pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> u32 {
     naked_asm!(
         "push {{r4-r11, lr}}",
-        // At sp: 32 bytes of lanes, two turns.
-        "sub sp, #52",
+        // At sp: 36 bytes of lanes; 40 two turns.
+        "sub sp, #60",
         "mov r9, r0",
         "ldrd r6, r7, [r0, #32]",
         "add r2, r1, r2, lsl #3",
@@ -260,7 +260,7 @@ pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> 
         "umull r12, r3, r0, r7",
         "lsls r3, r3, #1",
         "lsls r2, r5, #31",
-        "strd r2, r3, [sp, #32]",
+        "strd r2, r3, [sp, #40]",
         "lsrs r5, r5, #16",
         "add r1, r1, r5, lsl #3",
         "ldrd r0, r1, [r1]",
@@ -268,7 +268,7 @@ pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> 
         "umull r12, r5, r0, r7",
         "lsls r5, r5, #1",
         "lsls r4, r1, #31",
-        "strd r4, r5, [sp, #40]",
+        "strd r4, r5, [sp, #48]",
         "eor r1, r2, r4",
         "subs r4, r3, r5",
         "mov r0, sp",
@@ -279,12 +279,12 @@ pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> 
         "beq 2f",
         "bic r0, r0, #1",
         "ldr r1, [r9, #4]",
-        "add r2, sp, #32",
+        "add r2, sp, #40",
         "bl {two_exponentials}",
         "movs r0, r5",
         // The Z flag tells whether that is 0.
         "2:",
-        "add sp, #52",
+        "add sp, #60",
         "pop {{r4-r11, pc}}",
         of_two = sym prune_dsp::of_two,
         two_exponentials = sym wave::dsp::two_exponentials,
