@@ -1,5 +1,6 @@
-//! The walk of [`crate::pixel_encoder`] over the pixels of the eight-coefficient DCT, with its state
-//! in registers.
+//! The walk of [`crate::pixel_encoder`] over pixels, with its state in registers: those of the
+//! eight-coefficient DCT whole; of the DTFT it deals segments and packs single events, and leaves
+//! pixels of several to [`crate::waves_dsp`].
 //!
 //! The compiler's own walk takes nearly twice the instructions: it has fewer registers than the walk
 //! has state, and moves that to the stack and back at every pixel. The loop in Rust stays for other
@@ -90,7 +91,7 @@ struct Walk<'w, 's, 'o> {
 
 /// Encodes pixels up to the window's last, up to one of more than [`CHUNK_EVENTS`] events, which is
 /// the group's next then, or until the output has less than `room` words left. Returns events and
-/// pixels.
+/// pixels. `waves` are there for the DTFT.
 pub fn walk(
     (group, window): (&mut Group, &mut Window<'_>),
     scale: PhaseScale,
