@@ -1,6 +1,7 @@
 //! The choice of the largest of up to 32 magnitudes on a core with DSP instructions: eight bits of
-//! each, four to a word, are searched for a value that exactly as many reach as are kept. What eight
-//! bits do not tell is left to [`crate::prune`], which gives the same set.
+//! each, four to a word, are searched for a value that exactly as many reach as are kept, and the
+//! eight bits below where these do not tell. Equals are left to [`crate::prune`], which gives the same
+//! set.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;

@@ -49,7 +49,7 @@ static LINES: [Line; ROWS + QUARTER] = lines();
 /// Phase of k = 0, and what each further k adds.
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
-pub struct Turn {
+pub(crate) struct Turn {
     start: u32,
     step: u32,
 }
@@ -158,7 +158,7 @@ mod portable {
 /// The compiler takes 13 instructions for a number where these are 5 or, of a complex one, 4.
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
-pub mod dsp {
+pub(crate) mod dsp {
     use core::arch::naked_asm;
 
     use heapless::Vec;
