@@ -21,6 +21,8 @@ use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
 use crate::trace::{Stage, Trace};
 use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, M_MAX, Transform};
+#[cfg(eecvs_dsp)]
+use crate::waves_dsp;
 use crate::window::{Closed, Push, Window, WindowBuffers, WindowConfig};
 
 /// Smallest output that always takes a frame with at least one pixel.
@@ -455,6 +457,11 @@ impl<'b> WindowEncoder<'b> {
         if B::TRANSFORM as u8 == Transform::Dwt as u8 && is_lanes(&packing, scale) {
             (events, pixels, saturated) =
                 encoder.encode_lanes(&mut self.group, window, writer, trace);
+        }
+        #[cfg(eecvs_dsp)]
+        if B::TRANSFORM as u8 == Transform::Dtft as u8 && waves_dsp::is_for(&packing) {
+            (events, pixels, saturated) =
+                encoder.encode_waves(&mut self.group, window, writer, trace);
         }
         let mut is_last = true;
         while let Some(pixel) = self.group.next(window) {

@@ -1,5 +1,6 @@
-//! The walk of [`crate::pixel_encoder`] over the pixels of the eight-coefficient DCT, with its state
-//! in registers.
+//! The walk of [`crate::pixel_encoder`] over pixels, with its state in registers: those of the
+//! eight-coefficient DCT whole; of the DTFT it deals segments and packs single events, and leaves
+//! pixels of several to [`crate::waves_dsp`].
 //!
 //! The compiler's own walk takes nearly twice the instructions: it has fewer registers than the walk
 //! has state, and moves that to the stack and back at every pixel. The loop in Rust stays for other
@@ -16,6 +17,7 @@ use crate::group::{Entry, Group};
 use crate::pack::Packer;
 use crate::phase::PhaseScale;
 use crate::transform::rows::{self, Lines};
+use crate::waves_dsp::{self, Waves};
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, Slot};
 use crate::window::{SLOTS_MAX, Window};
 
@@ -43,8 +45,8 @@ struct Walk<'w, 's, 'o> {
     level_shift: u32,
     /// Bits of a level of one event, less 2.
     level_bits: u32,
-    counts: *const [[u32; 2]; CHUNK_EVENTS + 1],
-    /// The same for one that the assembly leaves to [`seven_long`].
+    counts: *const Counts,
+    /// The same as `limit` for one that the assembly leaves to [`seven_long`].
     limit_long: *mut [u8; 4],
     heads: *mut Head,
     /// Segments in a row, and the columns that they have beyond the sensor's.
@@ -75,6 +77,10 @@ struct Walk<'w, 's, 'o> {
     words: *mut [u8; 4],
     /// Sums that the assembly leaves to [`seven_long`].
     sums: [i32; 7],
+    /// Tally from which on a pixel is not the assembly's.
+    tally_limit: u32,
+    /// Those of the DTFT's pixels.
+    waves: *mut Waves<'w>,
     packer: *mut Packer,
     group: *mut Group,
     window: *mut Window<'s>,
@@ -85,13 +91,19 @@ struct Walk<'w, 's, 'o> {
 
 /// Encodes pixels up to the window's last, up to one of more than [`CHUNK_EVENTS`] events, which is
 /// the group's next then, or until the output has less than `room` words left. Returns events and
-/// pixels.
+/// pixels. `waves` are there for the DTFT.
 pub fn walk(
     (group, window): (&mut Group, &mut Window<'_>),
     scale: PhaseScale,
     packer: &mut Packer,
     (writer, room): (&mut BitWriter<'_>, usize),
+    waves: Option<&mut Waves<'_>>,
 ) -> (u32, u32) {
+    let crowded = (CHUNK_EVENTS as u32 + 1) << 16;
+    let (tally_limit, waves): (_, *mut Waves<'_>) = match waves {
+        Some(waves) => (2 << 16, waves),
+        None => (crowded, core::ptr::null_mut()),
+    };
     let (phase_shift, reciprocal) = scale.parts();
     let cells_log2 = packer.cells_log2();
     let (level_shift, one_bits) = packer.level_parts();
@@ -137,7 +149,9 @@ pub fn walk(
         slots_again: slots.as_mut_ptr(),
         position,
         words,
+        tally_limit,
         sums: [0; 7],
+        waves: waves.cast(),
         packer,
         group,
         window,
@@ -170,7 +184,8 @@ pub fn walk(
 /// what is to be added where the gap's code ends, besides the ON events.
 ///
 /// The 1s above the gap's code and above n's are taken off there.
-const COUNTS: [[u32; 2]; CHUNK_EVENTS + 1] = {
+pub type Counts = [[u32; 2]; CHUNK_EVENTS + 1];
+const COUNTS: Counts = {
     let mut counts = [[0; 2]; CHUNK_EVENTS + 1];
     let mut n = 2;
     while n <= CHUNK_EVENTS as u32 {
@@ -202,13 +217,18 @@ const SIDE_BITS_MAX: usize = 8;
 #[repr(C)]
 struct Tables {
     side_by_side: [[u32; 4]; SIDE_BITS_MAX],
-    counts: [[u32; 2]; CHUNK_EVENTS + 1],
+    counts: Counts,
 }
 
 static TABLES: Tables = Tables {
     side_by_side: SIDE_BY_SIDE,
     counts: COUNTS,
 };
+
+/// [`Counts`].
+pub const fn counts() -> &'static Counts {
+    &TABLES.counts
+}
 
 // What the assembly takes for granted. Both counts fit half a word, and a link's sign tells the end.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000);
@@ -247,6 +267,24 @@ unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u3
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
     let on = tally & 0xffff;
     packer.seven_after(gap >> 1, (on, (tally >> 16) - on), &walk.sums, writer);
+}
+
+/// What is kept of a pixel of two to a chunk's events of the DTFT, whose list begins at `head`; its
+/// sums are where [`waves_dsp::put`] reads them.
+unsafe extern "C" fn choose(walk: &mut Walk<'_, '_, '_>, tally: u32, head: u32) -> u32 {
+    // SAFETY: see `walk`; nothing else has a reference while this runs, and this is called only where
+    // there are `Waves`.
+    let (waves, window) = unsafe { (&mut *walk.waves, &mut *walk.window) };
+    waves.choose_largest((tally, head), window.slots(), &mut ())
+}
+
+/// A pixel of the DTFT that [`waves_dsp::put`] leaves; `gap` as there.
+unsafe extern "C" fn wave_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32, kept: u32) {
+    // SAFETY: as for `choose`.
+    let (waves, packer) = unsafe { (&mut *walk.waves, &*walk.packer) };
+    // SAFETY: as above.
+    let writer = unsafe { &mut *walk.writer };
+    waves.put_long((gap >> 1, tally), kept, packer, writer);
 }
 
 /// Appends `$value`, which has no bits beyond its `$bits`, 32 at the most; overwrites `$bits`.
@@ -386,6 +424,11 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "stm lr!, {{r1-r11}}",
         "ldm r0, {{r1-r3}}",
         "stm lr, {{r1-r3}}",
+        "ldr r1, [r0, #{tally_limit} - {copied}]",
+        "str r1, [sp, #160]",
+        "ldr r1, [r0, #{waves} - {copied}]",
+        "adds r1, #{common}",
+        "str r1, [sp, #132]",
         "bl 40f",
         "mov r11, #0x8000",
         "mov r8, #0",
@@ -503,7 +546,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "b 6b",
         // Several events. r2: n.
         "5:",
-        "cmp r3, #{crowded}",
+        "ldr r2, [sp, #160]",
+        "cmp r3, r2",
         "bhs 16f",
         "add r11, r11, #0x10000",
         "lsrs r2, r3, #16",
@@ -680,8 +724,58 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldr lr, [sp, #144]",
         "sub r11, r11, #0x10000",
         "sub r11, r11, r3, lsr #16",
-        // More events than a chunk: as it was before the pixel.
+        "b 20f",
+        // Another transform's pixel. r3: tally; lr: first slot.
         "16:",
+        "cmp r3, #{crowded}",
+        "bhs 20f",
+        "ldr r0, [sp, #40]",
+        "cmp r12, r0",
+        "bhs 20f",
+        "add r11, r11, #0x10000",
+        "add r11, r11, r3, lsr #16",
+        "add r0, sp, #100",
+        "stm r0, {{r1, r3, r4, r7, r11, r12, lr}}",
+        "ldr r7, [sp, #132]",
+        "cmp r3, #0x30000",
+        "bhs 22f",
+        "mov r0, r7",
+        "mov r1, r6",
+        "mov r2, lr",
+        "bl {two}",
+        "bne 23f",
+        "22:",
+        "ldr r0, [sp, #156]",
+        "ldr r1, [sp, #104]",
+        "ldr r2, [sp, #124]",
+        "bl {choose}",
+        "23:",
+        "mov r3, r0",
+        "mov r0, r7",
+        "ldrd r1, r2, [sp, #100]",
+        "ldr r12, [sp, #120]",
+        "bl {put}",
+        "ldrd r5, r6, [sp, #92]",
+        "add r1, sp, #108",
+        "ldm r1, {{r4, r7, r11}}",
+        "beq 21f",
+        "ldr r0, [sp, #24]",
+        "cmp r12, r0",
+        "bhs 12f",
+        "lsls r4, r4, #1",
+        "bne 1b",
+        "b 6b",
+        // As `put` has left r3.
+        "21:",
+        "str r3, [sp, #128]",
+        "bl 41f",
+        "ldr r0, [sp, #156]",
+        "ldrd r1, r2, [sp, #100]",
+        "ldr r3, [sp, #128]",
+        "bl {wave_long}",
+        "b 10b",
+        // More events than a chunk: as it was before the pixel.
+        "20:",
         "strd lr, r3, [r7, #-8]!",
         "subs r1, r1, r5",
         "rsb r5, r1, #0",
@@ -733,6 +827,14 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "bx lr",
         next_segments = sym next_segments,
         seven_long = sym seven_long,
+        choose = sym choose,
+        wave_long = sym wave_long,
+        put = sym waves_dsp::put,
+        two = sym waves_dsp::two,
+        waves = const offset_of!(Walk<'_, '_, '_>, waves),
+        common = const offset_of!(Waves<'_>, common),
+        tally_limit = const offset_of!(Walk<'_, '_, '_>, tally_limit),
+        copied = const offset_of!(Walk<'_, '_, '_>, position) - 12,
         single_long = sym single_long,
         crowded = const (CHUNK_EVENTS + 1) << 16,
         first = const FIRST,

@@ -42,6 +42,8 @@ pub mod packing;
 pub mod phase;
 mod pixel_encoder;
 pub mod prune;
+#[cfg(eecvs_dsp)]
+mod prune_dsp;
 pub mod quantise;
 pub mod regime;
 pub mod sensor_source;
@@ -50,6 +52,8 @@ pub mod storage;
 pub mod trace;
 pub mod transform;
 pub mod unpack;
+#[cfg(eecvs_dsp)]
+mod waves_dsp;
 pub mod window;
 
 pub use coder::chain::KEY_WINDOWS;

@@ -282,8 +282,21 @@ impl Packer {
         });
     }
 
+    /// [`Self::place`], one for all that are in no hurry.
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    pub(crate) fn place_apart(
+        &mut self,
+        position: (u16, u16),
+        counts: (u32, u32),
+        writer: &mut BitWriter<'_>,
+    ) {
+        self.place(position, counts, writer);
+    }
+
     /// Which coefficients are sent, for the transforms that keep the largest.
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     pub fn set(&self, kept: &Kept, writer: &mut BitWriter<'_>) {
         let grid = usize::from(self.packing.grid);
         let words = kept.words(grid);
@@ -385,6 +398,21 @@ impl Packer {
         (self.shift, self.one_bits)
     }
 
+    /// Goes to a pixel; returns its gap plus 2^g.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn step(&mut self, (x, y): (u16, u16)) -> u32 {
+        self.gap.step(u32::from(y) * self.width + u32::from(x))
+    }
+
+    /// [`Self::place`] of a pixel whose gap plus 2^g is `shifted`.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn place_after(&self, shifted: u32, counts: (u32, u32), writer: &mut BitWriter<'_>) {
+        let mut packer = *self;
+        packer.gap.before = 0;
+        let (code, bits) = packer.place_code(shifted, counts, writer);
+        writer.put_clean(code, bits);
+    }
+
     /// Bits of a single event's cell.
     #[inline(always)]
     #[must_use]
@@ -432,7 +460,7 @@ impl Packer {
 ///
 /// Apart: one for all transforms, as the levels are the same list in each.
 #[inline(never)]
-fn put_levels(most: u32, levels: &[u32], spread: u32, writer: &mut BitWriter<'_>) {
+pub(crate) fn put_levels(most: u32, levels: &[u32], spread: u32, writer: &mut BitWriter<'_>) {
     // Never more than `most`: |c| < n, and saturated levels have 32 bits.
     let bits = (width_of(spread) + 1).min(most);
     writer.aside(|writer| {

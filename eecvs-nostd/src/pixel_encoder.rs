@@ -10,9 +10,13 @@ use crate::phase::PhaseScale;
 use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::trace::{Stage, Trace};
+#[cfg(eecvs_dsp)]
+use crate::transform::Dtft;
 use crate::transform::lanes::Lanes;
 use crate::transform::rows::{self, Cosines};
 use crate::transform::{Basis, Dct, Dwt, Rule, Transform, lanes};
+#[cfg(eecvs_dsp)]
+use crate::waves_dsp::{self, Waves};
 use crate::window::{Slot, Window};
 #[cfg(eecvs_dsp)]
 use crate::{few_dsp, lanes_dsp};
@@ -88,7 +92,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
     ) -> u32 {
         let events = pixel.on + pixel.off;
         if events == 1 {
-            self.encode_single::<B, T>(pixel, slots, writer, trace);
+            encode_single::<B, T>((self.scale, &mut self.packer), pixel, slots, writer, trace);
             return 0;
         }
         // In an image the pixels that have no code of their own share that of the widest sums.
@@ -132,7 +136,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             if !T::LISTENS {
                 let room = (&mut *writer, FEW_WORDS_MAX);
                 let (some, places) =
-                    few_dsp::walk((group, window), self.scale, &mut self.packer, room);
+                    few_dsp::walk((group, window), self.scale, &mut self.packer, room, None);
                 events += some;
                 pixels += places;
                 if !writer.has_words(FEW_WORDS_MAX) {
@@ -150,7 +154,13 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
                 break;
             }
             match here {
-                1 => self.encode_single::<Dct, T>(pixel, slots, writer, trace),
+                1 => encode_single::<Dct, T>(
+                    (self.scale, &mut self.packer),
+                    pixel,
+                    slots,
+                    writer,
+                    trace,
+                ),
                 2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
                 _ => {
                     let saturates = self.encode_crowded::<Dct, T>(pixel, slots, writer, trace);
@@ -159,6 +169,74 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             }
             events += here;
             pixels += 1;
+        }
+        (events, pixels, saturated)
+    }
+
+    /// Encodes pixels where [`waves_dsp::is_for`] holds while the output has room for any. Returns
+    /// events, pixels, and how many levels saturated.
+    #[cfg(eecvs_dsp)]
+    #[inline(never)]
+    pub(crate) fn encode_waves<T: Trace>(
+        &mut self,
+        group: &mut Group,
+        window: &mut Window<'_>,
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> (u32, u32, u32) {
+        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
+        let words = waves_dsp::words_max(self.shape);
+        while writer.has_words(words) {
+            let memory = (&mut *self.scratch.sums, &mut *self.scratch.magnitudes);
+            let Some(mut waves) = Waves::new(self.shape, self.scale, memory, &self.packer) else {
+                // Never: `Config::check` asks for the memory.
+                break;
+            };
+            if !T::LISTENS {
+                let room = (&mut *writer, words);
+                let all = (&mut *group, &mut *window);
+                let (some, places) =
+                    few_dsp::walk(all, self.scale, &mut self.packer, room, Some(&mut waves));
+                events += some;
+                pixels += places;
+            }
+            let crowded = loop {
+                if !writer.has_words(words) {
+                    break None;
+                }
+                trace.enter(Stage::Group);
+                let Some(pixel) = group.next(window) else {
+                    break None;
+                };
+                let here = pixel.on + pixel.off;
+                if here > CHUNK_EVENTS_U32 {
+                    break Some(pixel);
+                }
+                if !T::LISTENS {
+                    // Never: the walk has all of these.
+                    group.put_back(pixel);
+                    break None;
+                }
+                let slots = window.slots();
+                if here == 1 {
+                    let packer = (self.scale, &mut self.packer);
+                    encode_single::<Dtft, T>(packer, pixel, slots, writer, trace);
+                } else {
+                    let gap = 2 * self.packer.step((pixel.x, pixel.y)) + 1;
+                    let tally = (here << 16) | pixel.on;
+                    let impulses = Impulses::new(pixel, slots);
+                    waves.encode((gap, tally), &impulses, &self.packer, writer, trace);
+                }
+                events += here;
+                pixels += 1;
+            };
+            let Some(pixel) = crowded else {
+                break;
+            };
+            events += pixel.on + pixel.off;
+            pixels += 1;
+            let saturates = self.encode_crowded::<Dtft, T>(pixel, window.slots(), writer, trace);
+            saturated = saturated.saturating_add(saturates);
         }
         (events, pixels, saturated)
     }
@@ -218,7 +296,13 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
                 break;
             }
             match here {
-                1 => self.encode_single::<Dwt, T>(pixel, slots, writer, trace),
+                1 => encode_single::<Dwt, T>(
+                    (self.scale, &mut self.packer),
+                    pixel,
+                    slots,
+                    writer,
+                    trace,
+                ),
                 2..=CHUNK_EVENTS_U32 => self.encode_bytes::<W, T>(pixel, slots, writer, trace),
                 _ => {
                     let saturates = self.encode_crowded::<Dwt, T>(pixel, slots, writer, trace);
@@ -275,24 +359,6 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
         self.packer
             .bytes(position, counts, (kept, levels, spread), writer);
-    }
-
-    /// A pixel of one event, whose coefficients follow from its time.
-    #[inline(always)]
-    fn encode_single<B: Basis, T: Trace>(
-        &mut self,
-        pixel: Pixel,
-        slots: &[Slot],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) {
-        trace.enter(Stage::Accumulate);
-        let first = Impulses::new(pixel, slots).next();
-        let offset_us = first.map_or(0, |impulse| impulse.offset_us);
-        let cell = B::cell(self.scale, offset_us, self.packer.cells_log2());
-        trace.enter(Stage::Pack);
-        let position = (pixel.x, pixel.y);
-        self.packer.single(position, pixel.on == 1, cell, writer);
     }
 
     /// A pixel of 2 events to a chunk's.
@@ -353,6 +419,23 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
     }
 }
 
+/// A pixel of one event, whose coefficients follow from its time.
+#[inline(always)]
+fn encode_single<B: Basis, T: Trace>(
+    (scale, packer): (PhaseScale, &mut Packer),
+    pixel: Pixel,
+    slots: &[Slot],
+    writer: &mut BitWriter<'_>,
+    trace: &mut T,
+) {
+    trace.enter(Stage::Accumulate);
+    let first = Impulses::new(pixel, slots).next();
+    let offset_us = first.map_or(0, |impulse| impulse.offset_us);
+    let cell = B::cell(scale, offset_us, packer.cells_log2());
+    trace.enter(Stage::Pack);
+    packer.single((pixel.x, pixel.y), pixel.on == 1, cell, writer);
+}
+
 /// c_0 = on - off.
 #[inline(always)]
 fn set_zeroth<B: Basis, C: Coefficient>(pixel: Pixel, sums: &mut [C]) {
@@ -395,9 +478,13 @@ impl Rest<'_> {
         let mut levels = Levels::new(self.magnitudes);
         B::quantise(sums, shape, self.kept, &mut levels);
         trace.enter(Stage::Pack);
-        self.packer.place((pixel.x, pixel.y), counts, writer);
+        let position = (pixel.x, pixel.y);
         if is_pruned {
+            // In an image most of these pixels have code of their own.
+            self.packer.place_apart(position, counts, writer);
             self.packer.set(self.kept, writer);
+        } else {
+            self.packer.place(position, counts, writer);
         }
         self.packer.levels(events, &levels, writer);
         levels.saturated()

@@ -93,7 +93,8 @@ pub fn low_frequency(r: usize, kept: &mut Kept) {
 ///
 /// Everything above the r-th largest value is kept, and the places left go to its equals from k = 0
 /// up. At most 34 passes over the keys.
-#[inline(always)]
+#[cfg_attr(eecvs_dsp, inline(never))]
+#[cfg_attr(not(eecvs_dsp), inline(always))]
 pub fn largest(keys: &[u32], r: usize, kept: &mut Kept) {
     if r >= keys.len() {
         return low_frequency(keys.len(), kept);
@@ -101,14 +102,26 @@ pub fn largest(keys: &[u32], r: usize, kept: &mut Kept) {
     if r == 0 {
         return;
     }
-    match keys.len() {
-        ..=16 => kept.words[0] |= largest_of::<4>(keys, r as u32),
-        17..=32 => kept.words[0] |= largest_of::<8>(keys, r as u32),
-        _ => largest_of_many(keys, r, kept),
+    if keys.len() <= 32 {
+        kept.words[0] |= largest_bits(keys, r as u32);
+    } else {
+        largest_of_many(keys, r, kept);
     }
 }
 
-/// [`largest`] of up to 4W keys, as a bit per key; `r` is 1 to one less than their number.
+/// [`largest`] of up to 32 keys, as a bit per key; `r` is 1 to one less than their number.
+#[inline(always)]
+#[must_use]
+pub(crate) fn largest_bits(keys: &[u32], r: u32) -> u32 {
+    // In an image one has to do for both: few pixels come here.
+    if !cfg!(eecvs_dsp) && keys.len() <= 16 {
+        largest_of::<4>(keys, r)
+    } else {
+        largest_of::<8>(keys, r)
+    }
+}
+
+/// [`largest_bits`] of up to 4W keys.
 ///
 /// Bisects for a value that exactly `r` of the keys reach, on the upper 7 bits of each, four to a
 /// word: a bit more than them is left after a subtraction where the key is not below the value.

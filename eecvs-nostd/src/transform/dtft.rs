@@ -102,3 +102,62 @@ impl Basis for Dtft {
 fn square(x: i32) -> u32 {
     mul_high(x, x) as u32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixed_point::FRACTION_BITS;
+    use crate::quantise::Quantiser;
+    use proptest::prelude::*;
+
+    const WINDOW_US: u32 = 1 << 20;
+
+    /// Which k `prune` keeps of two events.
+    fn pruned(events: [Impulse; 2], shape: Shape) -> u32 {
+        let mut sums = [Sum::ZERO; 64];
+        let scale = PhaseScale::new(WINDOW_US);
+        Dtft::accumulate(events.into_iter(), scale, shape.grid, &mut sums);
+        let on = events.iter().filter(|event| event.is_on).count() as i32;
+        sums[0] = Sum::from_bits((2 * on - 2) << FRACTION_BITS);
+        let mut kept = Kept::NONE;
+        Dtft::prune(&sums, 2, shape, &mut [0; 32], &mut kept);
+        kept.words(shape.grid)[0]
+    }
+
+    /// The k whose floor(512 d), with d as [`crate::prune_dsp`] rounds it, is `value` or more.
+    fn reach(events: [Impulse; 2], shape: Shape, value: u32) -> u32 {
+        let scale = PhaseScale::new(WINDOW_US);
+        let [a, b] = events.map(|event| scale.half(event.offset_us).to_bits() << 1);
+        let difference = (a.wrapping_sub(b).wrapping_add(1 << 16) >> 17) << 1;
+        let start = 1 + (u32::from(events[0].is_on == events[1].is_on) << 15);
+        let distance = |k| (start + k * difference) as u16 as i16;
+        let reaches = |k: &u32| u32::from(distance(*k).unsigned_abs() >> 7) >= value;
+        (0..shape.grid as u32)
+            .filter(reaches)
+            .fold(0, |bits, k| bits | (1 << k))
+    }
+
+    proptest! {
+        /// What lets the assembly order the magnitudes of two events by their distance.
+        #[test]
+        fn two_events_are_ordered_by_their_distance(
+            first in 0..WINDOW_US,
+            apart in prop_oneof![0..WINDOW_US, 0..4096_u32, Just(WINDOW_US / 4)],
+            is_on: [bool; 2],
+            grid in (1..=8_usize).prop_map(|fours| 4 * fours),
+            r in 1..32_usize,
+        ) {
+            let shape = Shape { grid, r: 1 + r % (grid - 1), quantiser: Quantiser::DEFAULT };
+            let offsets_us = [first, (first + apart) % WINDOW_US];
+            let events = [0, 1].map(|i| Impulse { offset_us: offsets_us[i], is_on: is_on[i] });
+            let kept = pruned(events, shape);
+            for value in 9..=248 {
+                let found = reach(events, shape, value);
+                // The margin: nothing is between.
+                if found.count_ones() == shape.r as u32 && reach(events, shape, value - 1) == found {
+                    prop_assert_eq!(found, kept, "{}", value);
+                }
+            }
+        }
+    }
+}
