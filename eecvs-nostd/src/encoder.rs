@@ -459,7 +459,10 @@ impl<'b> WindowEncoder<'b> {
                 encoder.encode_lanes(&mut self.group, window, writer, trace);
         }
         #[cfg(eecvs_dsp)]
-        if B::TRANSFORM as u8 == Transform::Dtft as u8 && waves_dsp::is_for(&packing) {
+        if B::HAS_WALKS
+            && B::TRANSFORM as u8 == Transform::Dtft as u8
+            && waves_dsp::is_for(&packing)
+        {
             (events, pixels, saturated) =
                 encoder.encode_waves(&mut self.group, window, writer, trace);
         }
