@@ -57,7 +57,7 @@ fn many_small_frames_decode_to_the_same_as_one_per_window() {
     let folder = Folder::new();
     folder.scene("scene.raw");
     for transform in ["auto", "dct", "dtft", "dwt"] {
-        let encode = format!("encode scene.raw --transform {transform} --json");
+        let encode = format!("encode scene.raw --mode transform --transform {transform} --json");
         let one = folder
             .eecvs(&format!("{encode} -o one.eecvs"))
             .ok()
@@ -165,7 +165,7 @@ fn windows_are_numbered_as_decode_counts_them_where_their_first_frame_is_lost() 
     let folder = Folder::new();
     folder.scene("scene.raw");
     folder
-        .eecvs("encode scene.raw -o a.eecvs --frame-bytes 1208")
+        .eecvs("encode scene.raw -o a.eecvs --mode transform --frame-bytes 1208")
         .ok();
     let mut frames = folder.frames("a.eecvs");
     let third = rows(&folder, "a.eecvs")
@@ -370,9 +370,17 @@ fn the_demo_writes_pictures_and_a_report() {
     }
     assert_eq!(kinds, [3, 2], "a picture of each regime, two charts");
     // What it left can be used further.
-    folder.eecvs("inspect results/new/auto.eecvs").ok();
-    folder
-        .eecvs("encode results/new/scene.raw -o b.eecvs --thresholds results/new/thresholds.toml")
-        .ok();
-    assert!(folder.bytes("b.eecvs") == folder.bytes("results/new/auto.eecvs"));
+    for (name, flags) in [
+        ("auto", "--mode transform"),
+        ("fast", ""),
+        ("dense", "--coder dense"),
+    ] {
+        let made = format!("results/new/{name}.eecvs");
+        folder.eecvs(&format!("inspect {made}")).ok();
+        let encode = "encode results/new/scene.raw -o b.eecvs --thresholds";
+        folder
+            .eecvs(&format!("{encode} results/new/thresholds.toml {flags}"))
+            .ok();
+        assert!(folder.bytes("b.eecvs") == folder.bytes(&made), "{name}");
+    }
 }

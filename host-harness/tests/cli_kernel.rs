@@ -64,7 +64,9 @@ fn decoded(folder: &Folder, setting: &str, kernel: Option<Kernel>) -> Vec<Decode
     let flag = kernel.map_or(String::new(), |kernel| {
         format!("--kernel {}", kernel.name())
     });
-    let line = format!("encode in.csv -o a.eecvs --window-us {WINDOW_US} {setting} {flag}");
+    let line = format!(
+        "encode in.csv -o a.eecvs --mode transform --window-us {WINDOW_US} {setting} {flag}"
+    );
     folder.eecvs(&line).ok();
     let mut reader = WindowReader::new(FrameReader::open(&folder.path("a.eecvs")).unwrap());
     let mut windows = Vec::new();
@@ -163,7 +165,7 @@ fn the_haar_transform_has_one_kernel() {
     let folder = Folder::new();
     recording(&folder);
     for setting in ["-m 8", "-m 64 --grid 512 --step-log2 2"] {
-        let encode = format!("encode in.csv -o a.eecvs --transform dwt {setting}");
+        let encode = format!("encode in.csv -o a.eecvs --mode transform --transform dwt {setting}");
         folder.eecvs(&encode).ok();
         let bytes = folder.bytes("a.eecvs");
         for kernel in KERNELS.map(Kernel::name) {

@@ -127,7 +127,9 @@ fn volumes_and_bins_equal_the_reference() {
         ("-m 1", 1),
     ] {
         folder
-            .eecvs(&format!("encode scene.raw -o a.eecvs {flags}"))
+            .eecvs(&format!(
+                "encode scene.raw -o a.eecvs --mode transform {flags}"
+            ))
             .ok();
         let rows = folder.eecvs("inspect a.eecvs --json").ok().array();
         assert_eq!(rows.len(), windows.len());
@@ -182,7 +184,7 @@ fn a_window_closed_early_has_its_own_volume() {
     let folder = Folder::new();
     folder.scene("scene.raw");
     folder
-        .eecvs("encode scene.raw -o a.eecvs --window-events 700 --transform dtft -m 12")
+        .eecvs("encode scene.raw -o a.eecvs --mode transform --window-events 700 --transform dtft -m 12")
         .ok();
     let events = folder.events("scene.raw").1;
     let windows = windows(&events, WINDOW_US, NonZeroUsize::new(700).unwrap());

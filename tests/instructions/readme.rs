@@ -65,15 +65,17 @@ fn tables(counts: &Counts) -> Option<String> {
         let _ = write!(text, " {:.0} |", run(cut, "dct", 8)?.per_event());
     }
     text += " about 100 |\n\n| whole, instructions per event (per active pixel) | davis346 | sparse | dense |\n|---|---|---|---|\n";
-    for (transform, name) in TRANSFORMS {
-        for m in [8, 16] {
-            let _ = write!(text, "| {name}, M = {m} |");
-            for cut in CUTS {
-                let run: &Run = run(cut, transform, m)?;
-                let _ = write!(text, " {:.0} ({:.0}) |", run.per_event(), run.per_pixel());
-            }
-            text.push('\n');
+    let transforms = TRANSFORMS
+        .iter()
+        .flat_map(|(transform, name)| [8, 16].map(|m| (*transform, m, format!("{name}, M = {m}"))));
+    let coders = ["fast", "dense"].map(|coder| (coder, 0, format!("events, {coder} coder")));
+    for (way, m, name) in transforms.chain(coders) {
+        let _ = write!(text, "| {name} |");
+        for cut in CUTS {
+            let run: &Run = run(cut, way, m)?;
+            let _ = write!(text, " {:.0} ({:.0}) |", run.per_event(), run.per_pixel());
         }
+        text.push('\n');
     }
     Some(text)
 }

@@ -4,10 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
+use eecvs_nostd::coder::dense::words;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{
-    Config, Encoder, KEY_WINDOWS, Mode, Push, Quantiser, Sensor, Thresholds, Transform,
-    WindowConfig,
+    Coder, Config, Encoder, Fidelity, Hybrid, KEY_WINDOWS, Mode, Push, Quantiser, Sensor,
+    Thresholds, Transform, WindowConfig,
 };
 use host_harness::bench::cut::EVENTS;
 use host_harness::encode::HostStorage;
@@ -16,6 +17,14 @@ use crate::counts::Run;
 
 /// Output of the image: a larger one would give other frames.
 const OUT_BYTES: usize = 8192;
+
+/// Of the image: its memory for the dense coder is for this one without the window before.
+const SENSOR_MAX: Sensor = Sensor {
+    width: 640,
+    height: 480,
+};
+
+const DENSE_WORDS: usize = words(SENSOR_MAX, false);
 
 /// Encodes the run's cut anew.
 pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
@@ -32,10 +41,19 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
     };
     let sensor = Sensor::new(u16::try_from(*width)?, u16::try_from(*height)?);
     let sensor = sensor.with_context(|| format!("{name}: no sensor"))?;
-    let transform = Transform::ALL
-        .into_iter()
-        .find(|t| t.name() == run.transform);
-    let mut storage = HostStorage::new(sensor, EVENTS);
+    let hybrid = |coder| {
+        let fidelity = Fidelity::Lossless;
+        Mode::Hybrid(Hybrid { coder, fidelity })
+    };
+    let (transform, mode) = match run.transform.as_str() {
+        "fast" => (Some(Transform::Dct), hybrid(Coder::Fast)),
+        "dense" => (Some(Transform::Dct), hybrid(Coder::Dense)),
+        name => {
+            let transform = Transform::ALL.into_iter().find(|t| t.name() == name);
+            (transform, Mode::Transform)
+        }
+    };
+    let mut storage = HostStorage::new(sensor, EVENTS).with_dense_words(DENSE_WORDS);
     let mut encoder = storage.encoder(Config {
         window: WindowConfig {
             sensor,
@@ -43,10 +61,10 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
         },
         thresholds: Thresholds::new(0, 0).context("zero is a threshold")?,
         transform: Some(transform.context("an unknown transform")?),
-        m: run.m,
+        m: run.m.max(8),
         grid: None,
         quantiser: Quantiser::DEFAULT,
-        mode: Mode::Transform,
+        mode,
         key_windows: KEY_WINDOWS,
     })?;
     let mut output = Output::default();

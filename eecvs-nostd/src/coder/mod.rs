@@ -24,6 +24,17 @@ pub enum Coder {
     Dense,
 }
 
+impl Coder {
+    /// Lower-case name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Fast => "fast",
+            Self::Dense => "dense",
+        }
+    }
+}
+
 /// Mode `hybrid`: the events, as exactly as is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -19,17 +19,24 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::debug::{self, EXIT_FAILURE, EXIT_SUCCESS};
 use cortex_m_semihosting::hprintln;
 use eecvs_firmware as _;
+use eecvs_nostd::coder::dense::{self, DenseMemory};
+use eecvs_nostd::coder::range::Probability;
 use eecvs_nostd::evt2::Evt2Decoder;
 use eecvs_nostd::{
-    Config, Encoder, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser, Sensor, SetupError, Stage,
-    Storage, Thresholds, Trace, Transform, WindowConfig, bitmap_words, segments,
+    Coder, Config, Encoder, Fidelity, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser,
+    Sensor, SetupError, Stage, Storage, Thresholds, Trace, Transform, WindowConfig, bitmap_words,
+    segments,
 };
 use stm32f4::stm32f405::{Peripherals, TIM2};
 
 /// Events of the largest cut.
 const EVENTS: usize = 8192;
+const SENSOR_MAX: Sensor = Sensor {
+    width: 640,
+    height: 480,
+};
 /// Segments of the largest sensor.
-const SEGMENTS: usize = segments(640, 480);
+const SEGMENTS: usize = segments(SENSOR_MAX.width, SENSOR_MAX.height);
 /// 2K of the largest K.
 const NUMBERS: usize = 64;
 
@@ -37,6 +44,11 @@ type Buffers = Storage<EVENTS, SEGMENTS, { bitmap_words(SEGMENTS) }, NUMBERS>;
 
 static mut STORAGE: Buffers = Storage::new();
 static mut OUT: [u8; 8192] = [0; 8192];
+static mut PROBABILITIES: [Probability; dense::PROBABILITIES] =
+    [Probability::UNSET; dense::PROBABILITIES];
+/// Without the window before, as in the encoder's image.
+const DENSE_WORDS: usize = dense::words(SENSOR_MAX, false);
+static mut WORDS: [u32; DENSE_WORDS] = [0; DENSE_WORDS];
 const _: () = assert!(OUTPUT_BYTES_MIN <= 8192);
 
 macro_rules! cut {
@@ -90,6 +102,25 @@ impl Cut {
             words,
         })
     }
+}
+
+/// Name, transform, M (0 where there is none) and mode of every run.
+const WAYS: [(&str, Transform, u8, Mode); 8] = [
+    ("dct", Transform::Dct, 8, Mode::Transform),
+    ("dct", Transform::Dct, 16, Mode::Transform),
+    ("dtft", Transform::Dtft, 8, Mode::Transform),
+    ("dtft", Transform::Dtft, 16, Mode::Transform),
+    ("dwt", Transform::Dwt, 8, Mode::Transform),
+    ("dwt", Transform::Dwt, 16, Mode::Transform),
+    ("fast", Transform::Dct, 0, lossless(Coder::Fast)),
+    ("dense", Transform::Dct, 0, lossless(Coder::Dense)),
+];
+
+const fn lossless(coder: Coder) -> Mode {
+    Mode::Hybrid(Hybrid {
+        coder,
+        fidelity: Fidelity::Lossless,
+    })
 }
 
 /// Instructions so far; wraps after 2^32.
@@ -175,12 +206,12 @@ impl Output {
 fn measure<T: Trace>(
     config: Config,
     words: &[[u8; 4]],
-    storage: &mut Buffers,
+    (storage, dense): (&mut Buffers, DenseMemory<'_>),
     out: &mut [u8],
     trace: &mut T,
 ) -> Option<(u32, Output)> {
     // Borrowed where it is: moved, it would be on the stack twice.
-    let encoder = &mut set_up(config, storage);
+    let encoder = &mut set_up(config, storage, dense);
     let Ok(encoder) = encoder else {
         return None;
     };
@@ -191,8 +222,12 @@ fn measure<T: Trace>(
 
 /// The copies of an encoder that is being put together leave the stack with this.
 #[inline(never)]
-fn set_up(config: Config, storage: &mut Buffers) -> Result<Encoder<'_>, SetupError> {
-    storage.encoder(config)
+fn set_up<'b>(
+    config: Config,
+    storage: &'b mut Buffers,
+    dense: DenseMemory<'b>,
+) -> Result<Encoder<'b>, SetupError> {
+    storage.encoder_with(config, Some(dense))
 }
 
 #[inline(never)]
@@ -245,7 +280,8 @@ fn known_loop() -> u32 {
 fn main() -> ! {
     // SAFETY: `main` runs once, and nothing else uses these.
     #[allow(static_mut_refs)]
-    let (storage, out) = unsafe { (&mut STORAGE, &mut OUT) };
+    let (storage, out, probabilities, words) =
+        unsafe { (&mut STORAGE, &mut OUT, &mut PROBABILITIES, &mut WORDS) };
     if let Some(peripherals) = Peripherals::take() {
         peripherals
             .RCC
@@ -264,57 +300,65 @@ fn main() -> ! {
         let Some(cut) = Cut::parse(bytes) else {
             continue;
         };
-        for transform in Transform::ALL {
-            for m in [8, 16] {
-                let config = Config {
-                    window: cut.window,
-                    thresholds: Thresholds::new(0, 0).unwrap(),
-                    transform: Some(transform),
-                    m,
-                    grid: None,
-                    quantiser: Quantiser::DEFAULT,
-                    mode: Mode::Transform,
-                    key_windows: KEY_WINDOWS,
-                };
-                let mut probe = Probe::new();
-                let (Some((whole, output)), Some((_, traced))) = (
-                    measure(config, cut.words, storage, out, &mut ()),
-                    measure(config, cut.words, storage, out, &mut probe),
-                ) else {
-                    hprintln!("{origin} {name}: the encoder cannot be set up");
-                    failed = true;
-                    continue;
-                };
-                if traced != output || output.events != cut.events {
-                    hprintln!("{origin} {name}: events are missing or the runs differ");
-                    failed = true;
-                    continue;
-                }
-                let stage = |stage: Stage| {
-                    let i = stage as usize;
-                    probe.spent[i].saturating_sub(probe.calls[i] * cost)
-                };
-                hprintln!(
-                    "{{\"origin\":\"{origin}\",\"cut\":\"{name}\",\"transform\":\"{}\",\"m\":{m},\
+        // A hybrid frame does not say how many: those of the transforms' frames.
+        let mut pixels = 0;
+        for (label, transform, m, mode) in WAYS {
+            let config = Config {
+                window: cut.window,
+                thresholds: Thresholds::new(0, 0).unwrap(),
+                transform: Some(transform),
+                m: m.max(8),
+                grid: None,
+                quantiser: Quantiser::DEFAULT,
+                mode,
+                key_windows: KEY_WINDOWS,
+            };
+            let mut probe = Probe::new();
+            let dense = DenseMemory {
+                probabilities: &mut *probabilities,
+                words: &mut *words,
+            };
+            let whole = measure(config, cut.words, (storage, dense), out, &mut ());
+            let dense = DenseMemory {
+                probabilities: &mut *probabilities,
+                words: &mut *words,
+            };
+            let traced = measure(config, cut.words, (storage, dense), out, &mut probe);
+            let (Some((whole, output)), Some((_, traced))) = (whole, traced) else {
+                hprintln!("{origin} {name}: the encoder cannot be set up");
+                failed = true;
+                continue;
+            };
+            if traced != output || output.events != cut.events {
+                hprintln!("{origin} {name}: events are missing or the runs differ");
+                failed = true;
+                continue;
+            }
+            pixels = output.pixels.max(pixels);
+            let stage = |stage: Stage| {
+                let i = stage as usize;
+                probe.spent[i].saturating_sub(probe.calls[i] * cost)
+            };
+            hprintln!(
+                "{{\"origin\":\"{origin}\",\"cut\":\"{name}\",\"transform\":\"{}\",\"m\":{m},\
                      \"events\":{},\"pixels\":{},\"windows\":{},\"frames\":{},\"bytes\":{},\"check\":{},\
                      \"whole\":{whole},\"stages\":{{\"ingest\":{},\"group\":{},\
                      \"accumulate\":{},\"prune\":{},\"quantise\":{},\"pack\":{},\"frame\":{}}}}}",
-                    transform.name(),
-                    output.events,
-                    output.pixels,
-                    output.windows,
-                    output.frames,
-                    output.bytes,
-                    output.check,
-                    stage(Stage::Ingest),
-                    stage(Stage::Group),
-                    stage(Stage::Accumulate),
-                    stage(Stage::Prune),
-                    stage(Stage::Quantise),
-                    stage(Stage::Pack),
-                    stage(Stage::Frame),
-                );
-            }
+                label,
+                output.events,
+                pixels,
+                output.windows,
+                output.frames,
+                output.bytes,
+                output.check,
+                stage(Stage::Ingest),
+                stage(Stage::Group),
+                stage(Stage::Accumulate),
+                stage(Stage::Prune),
+                stage(Stage::Quantise),
+                stage(Stage::Pack),
+                stage(Stage::Frame),
+            );
         }
     }
     debug::exit(if failed { EXIT_FAILURE } else { EXIT_SUCCESS });

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use eecvs_nostd::{
-    Config, Event, KEY_WINDOWS, Mode, Quantiser, Regime, Sensor, Thresholds, Transform,
-    WindowConfig,
+    Coder, Config, Event, Fidelity, Hybrid, KEY_WINDOWS, Mode, Quantiser, Regime, Sensor,
+    Thresholds, Transform, WindowConfig,
 };
 
 use super::monitor::{chart_thresholds, points};
@@ -97,14 +97,23 @@ impl Demo {
         ))?;
 
         let mut rows = Vec::new();
-        for (name, transform) in [
-            ("auto", None),
-            ("dct", Some(Transform::Dct)),
-            ("dtft", Some(Transform::Dtft)),
-            ("dwt", Some(Transform::Dwt)),
+        let hybrid = |coder, fidelity| Mode::Hybrid(Hybrid { coder, fidelity });
+        let transform = Mode::Transform;
+        for (name, mode, transform) in [
+            ("fast", hybrid(Coder::Fast, Fidelity::Lossless), None),
+            ("dense", hybrid(Coder::Dense, Fidelity::Lossless), None),
+            (
+                "dense50us",
+                hybrid(Coder::Dense, Fidelity::ToleranceUs(50)),
+                None,
+            ),
+            ("auto", transform, None),
+            ("dct", transform, Some(Transform::Dct)),
+            ("dtft", transform, Some(Transform::Dtft)),
+            ("dwt", transform, Some(Transform::Dwt)),
         ] {
             say(&format!("{name:<10} encode, decode, compare"))?;
-            rows.push(run.row(name, transform)?);
+            rows.push(run.row(name, mode, transform)?);
         }
 
         if let Some(path) = &self.save {
@@ -178,7 +187,7 @@ impl Run {
     }
 
     /// Encodes into a file, decodes it into another and compares that with the scene.
-    fn row(&self, name: &'static str, transform: Option<Transform>) -> Result<Row> {
+    fn row(&self, name: &'static str, mode: Mode, transform: Option<Transform>) -> Result<Row> {
         let frames = self.folder.join(format!("{name}.eecvs"));
         let file = File::create(&frames).with_context(|| format!("{}", frames.display()))?;
         let mut out = BufWriter::new(file);
@@ -192,7 +201,7 @@ impl Run {
             m: M,
             grid: None,
             quantiser: Quantiser::DEFAULT,
-            mode: Mode::Transform,
+            mode,
             key_windows: KEY_WINDOWS,
         };
         let mut reader = formats::open(&self.scene, None)?;
@@ -225,6 +234,7 @@ impl Run {
         )?;
         Ok(Row {
             name,
+            is_transform: mode == Mode::Transform,
             encoded,
             compared,
         })

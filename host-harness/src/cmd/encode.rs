@@ -55,7 +55,7 @@ pub struct Encode {
 #[derive(Debug, Clone, Args)]
 pub struct CodecOptions {
     /// What frames hold
-    #[arg(long, value_enum, default_value = "transform")]
+    #[arg(long, value_enum, default_value = "hybrid")]
     mode: ModeName,
 
     /// hybrid: no decoded time is off by more than D microseconds [default: 0, lossless]

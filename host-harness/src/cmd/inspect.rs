@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use eecvs_nostd::{Fidelity, Mode};
 use serde::Serialize;
 
 use crate::frame_file::{FrameReader, Located};
@@ -33,7 +34,14 @@ struct Row {
     duration_us: u32,
     window_events: u32,
     events: u32,
-    pixels: u32,
+    /// Of a transform's frame; another one's payload alone would tell.
+    pixels: Option<u32>,
+    mode: &'static str,
+    coder: Option<&'static str>,
+    time_tolerance_us: Option<u32>,
+    bins: Option<u16>,
+    /// Decodes by itself.
+    key: bool,
     density_per_px_s: f64,
     regime: &'static str,
     transform: &'static str,
@@ -105,6 +113,16 @@ impl Row {
             pixels: header.sensor.pixels(),
             duration_us: header.duration_us,
         };
+        let (mut coder, mut time_tolerance_us, mut bins) = (None, None, None);
+        if let Mode::Hybrid(hybrid) = header.mode {
+            coder = Some(hybrid.coder.name());
+            match hybrid.fidelity {
+                Fidelity::Lossless => time_tolerance_us = Some(0),
+                Fidelity::ToleranceUs(tolerance_us) => time_tolerance_us = Some(tolerance_us),
+                Fidelity::Bins(count) => bins = Some(count),
+            }
+        }
+        let is_transform = header.mode == Mode::Transform;
         Self {
             index,
             seq: header.sequence,
@@ -114,7 +132,12 @@ impl Row {
             duration_us: header.duration_us,
             window_events: header.window_events,
             events: header.events,
-            pixels: header.pixels,
+            pixels: is_transform.then_some(header.pixels),
+            mode: if is_transform { "transform" } else { "hybrid" },
+            coder,
+            time_tolerance_us,
+            bins,
+            key: header.is_key,
             density_per_px_s: density.per_pixel_s(),
             regime: header.regime.name(),
             transform: header.transform.name(),
@@ -139,7 +162,7 @@ impl Row {
             "t0_us",
             "dur_us",
             "events",
-            "pixels",
+            "coder",
             "regime",
             "tr",
             "m",
@@ -159,7 +182,7 @@ impl Row {
             t0_us,
             duration_us,
             events,
-            pixels,
+            coder,
             regime,
             transform,
             m,
@@ -171,9 +194,10 @@ impl Row {
             dropped,
             ..
         } = self;
+        let coder = coder.unwrap_or("");
         writeln!(
             out,
-            "{index:>6} {seq:>6} {t0_us:>17} {duration_us:>9} {events:>8} {pixels:>8} {regime:>8} \
+            "{index:>6} {seq:>6} {t0_us:>17} {duration_us:>9} {events:>8} {coder:>8} {regime:>8} \
              {transform:4} {m:>3} {grid:>4} {step:>9} {bytes:>8} {late:>5} {filtered:>5} {dropped:>5}"
         )
     }

@@ -62,6 +62,14 @@ impl HostStorage {
         Self::with_windows(1, sensor, window_events)
     }
 
+    /// With no more words for the dense coder than a microcontroller has: the window before fits for
+    /// a small sensor alone.
+    #[must_use]
+    pub fn with_dense_words(mut self, words: usize) -> Self {
+        self.words.resize(words, 0);
+        self
+    }
+
     /// As [`Self::new`], with buffers for several windows.
     #[must_use]
     pub(super) fn with_windows(windows: usize, sensor: Sensor, window_events: usize) -> Self {
