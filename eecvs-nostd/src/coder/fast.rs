@@ -47,6 +47,40 @@ impl Then {
     }
 }
 
+/// Up to 32 bits on their way.
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    code: u32,
+    bits: u32,
+}
+
+impl Piece {
+    const NONE: Self = Self::of(0, 0);
+
+    /// The low `bits` bits of `code`, which has no others.
+    #[inline(always)]
+    const fn of(code: u32, bits: u32) -> Self {
+        Self { code, bits }
+    }
+
+    #[inline(always)]
+    fn put(self, writer: &mut BitWriter<'_>) {
+        writer.put_clean(self.code, self.bits);
+    }
+
+    /// Appends another, after what was there has been put where both are too long for a word.
+    #[inline(always)]
+    fn then(&mut self, other: Self, writer: &mut BitWriter<'_>) {
+        if self.bits + other.bits < u32::BITS {
+            self.code |= other.code << self.bits;
+            self.bits += other.bits;
+        } else {
+            self.put(writer);
+            *self = other;
+        }
+    }
+}
+
 /// What both sides know of the events that went by.
 #[derive(Debug, Clone)]
 pub struct Fast {
@@ -60,6 +94,8 @@ pub struct Fast {
     distance_means_q3: [u32; 2],
     counts: [u32; 3],
     favourite: u32,
+    /// Codes of what follows an event.
+    codes: [Piece; 3],
     /// Most pixels have a single event, which is not told of each.
     is_sparse: bool,
 }
@@ -82,6 +118,29 @@ impl From<Ended> for Malformed {
     fn from(_: Ended) -> Self {
         Self::Ended
     }
+}
+
+const fn last_but(favourite: u32) -> u32 {
+    if favourite == Then::Flip as u32 {
+        Then::Same as u32
+    } else {
+        Then::Flip as u32
+    }
+}
+
+/// A one for the favourite; for the others a zero, and which of them.
+const fn codes(favourite: u32) -> [Piece; 3] {
+    let mut codes = [Piece::of(0, 2); 3];
+    let mut i = 0;
+    while i < codes.len() {
+        if i as u32 == favourite {
+            codes[i] = Piece::of(1, 1);
+        } else if i as u32 == last_but(favourite) {
+            codes[i] = Piece::of(2, 2);
+        }
+        i += 1;
+    }
+    codes
 }
 
 impl Fast {
@@ -109,6 +168,7 @@ impl Fast {
             distance_means_q3: [half << MEAN_SHIFT; 2],
             counts: [0; 3],
             favourite: Then::End as u32,
+            codes: codes(Then::End as u32),
             is_sparse: false,
         }
     }
@@ -155,6 +215,7 @@ impl Fast {
             } else {
                 Then::Flip as u32
             };
+            self.codes = codes(self.favourite);
             // Fewer than 5 events in 4 pixels.
             self.is_sparse = 4 * (sames + flips) < ends;
         }
@@ -177,81 +238,56 @@ impl Fast {
         let index = u32::from(y) * self.width + u32::from(x);
         let gap = index - self.next_index;
         let order = self.gap_order();
-        let was_sparse = self.is_sparse;
-        if was_sparse {
-            if next.is_some() {
-                writer.put_exp_golomb(0, order);
-            }
-            writer.put_exp_golomb(gap + 1, order);
-        } else {
-            writer.put_exp_golomb(gap, order);
+        let is_sparse = self.is_sparse;
+        if is_sparse && next.is_some() {
+            writer.put_exp_golomb(0, order);
         }
+        writer.put_exp_golomb(gap + u32::from(is_sparse), order);
         self.learn_gap(gap);
         self.next_index = index + 1;
-        writer.put(u32::from(on), 1);
-        writer.put(cell, self.time_bits);
+        // What is told with a word at once goes out with what follows it.
+        let mut told = Piece::of(u32::from(on), 1);
+        told.then(Piece::of(cell, self.time_bits), writer);
         let mut written = 1;
-        let mut is_told = !was_sparse;
+        let mut is_first_of_sparse = is_sparse;
         while let Some((next_cell, next_on)) = next {
-            if is_told && !writer.has_words(ROOM_WORDS) {
-                break;
-            }
             let flips = usize::from(next_on != on);
-            if is_told {
-                self.put_then(1 + flips as u32, writer);
+            if is_first_of_sparse {
+                told.then(Piece::of(flips as u32, 1), writer);
+                is_first_of_sparse = false;
             } else {
-                writer.put(flips as u32, 1);
-                is_told = true;
+                told.then(self.codes[1 + flips], writer);
             }
             self.counts[1 + flips] += 1;
             let distance = next_cell - cell;
-            self.put_distance(flips, cell, distance, writer);
+            let order = self.distance_order(flips, cell);
+            let quotient = distance >> order;
+            if quotient < UNARY_MAX {
+                // Zeros, a one, and the low bits.
+                let low = distance & ((1 << order) - 1);
+                let code = (low << 1 | 1) << quotient;
+                told.then(Piece::of(code, quotient + 1 + order), writer);
+            } else {
+                told.then(Piece::of(0, UNARY_MAX), writer);
+                told.put(writer);
+                told = Piece::NONE;
+                writer.put_exp_golomb(distance - (UNARY_MAX << order), order);
+            }
+            self.learn_distance(flips, distance);
             (cell, on) = (next_cell, next_on);
             written += 1;
             next = events.next();
+            if next.is_some() && !writer.has_words(ROOM_WORDS) {
+                break;
+            }
         }
-        if is_told {
-            self.put_then(Then::End as u32, writer);
+        if !is_first_of_sparse {
+            told.then(self.codes[Then::End as usize], writer);
         }
+        told.put(writer);
         self.counts[0] += 1;
         self.learn_pixel();
         written
-    }
-
-    /// The last of what is told with two bits, the second of them set.
-    #[inline(always)]
-    const fn last_but_favourite(&self) -> u32 {
-        if self.favourite == Then::Flip as u32 {
-            Then::Same as u32
-        } else {
-            Then::Flip as u32
-        }
-    }
-
-    #[inline(always)]
-    fn put_then(&self, then: u32, writer: &mut BitWriter<'_>) {
-        if then == self.favourite {
-            writer.put_clean(1, 1);
-        } else {
-            let which = u32::from(then == self.last_but_favourite());
-            writer.put_clean(which << 1, 2);
-        }
-    }
-
-    #[inline(always)]
-    fn put_distance(&mut self, flips: usize, cell: u32, distance: u32, writer: &mut BitWriter<'_>) {
-        let order = self.distance_order(flips, cell);
-        let quotient = distance >> order;
-        if quotient < UNARY_MAX {
-            // Zeros, a one, and the low bits.
-            let low = distance & ((1 << order) - 1);
-            let code = (low << 1 | 1) << quotient;
-            writer.put(code, quotient + 1 + order);
-        } else {
-            writer.put_clean(0, UNARY_MAX);
-            writer.put_exp_golomb(distance - (UNARY_MAX << order), order);
-        }
-        self.learn_distance(flips, distance);
     }
 
     /// Reads a frame's `events` events; `each` gets their columns, rows, cells and polarities.
@@ -318,6 +354,12 @@ impl Fast {
             pixels += 1;
         }
         Ok(pixels)
+    }
+
+    /// The last of what is told with two bits, the second of them set.
+    #[inline(always)]
+    const fn last_but_favourite(&self) -> u32 {
+        last_but(self.favourite)
     }
 
     #[inline(always)]
