@@ -211,16 +211,9 @@ impl Content for Pixels<'_, '_, '_, '_> {
             .is_some_and(|(x, y)| (x / 32, y) == (segment, row))
     }
 
-    #[inline(always)]
-    fn has_column(&mut self, column: u16) -> bool {
-        // The segment at hand has pixels, of which some may be done.
-        let Group {
-            columns,
-            segment_x,
-            segment_y,
-            ..
-        } = *self.encoder.group;
-        (segment_x / 32, segment_y) == (self.segment, self.row) && columns >> column & 1 == 1
+    fn columns(&mut self) -> u32 {
+        // `has_segment` has gone to it.
+        self.encoder.group.columns
     }
 
     fn enter(&mut self, _position: (u16, u16)) -> u32 {

@@ -21,8 +21,8 @@ pub trait Content {
     fn has_row(&mut self, y: u16) -> bool;
     /// Whether a segment of 32 columns of that row has.
     fn has_segment(&mut self, segment: u16) -> bool;
-    /// Whether a column of that segment has.
-    fn has_column(&mut self, column: u16) -> bool;
+    /// Which columns of that segment have: bit i is column i's. It has been found to have some.
+    fn columns(&mut self) -> u32;
     /// Goes to the pixel found; returns what [`Self::at`] will know its first event by.
     fn enter(&mut self, position: (u16, u16)) -> u32;
     /// Whether the pixel has a further event.

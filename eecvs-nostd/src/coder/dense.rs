@@ -318,35 +318,27 @@ impl<'b> Dense<'b> {
         made: &mut Made,
         pixels: &mut Pixels,
     ) -> bool {
-        let wide = around.widen();
+        let mut wide = around.widen();
         let columns = (usize::from(self.sensor.width) - 32 * segment).min(32);
+        let mut left = content.columns();
         let mut west_list = if around.west >> 31 == 1 && segment > 0 {
             self.list(32 * segment - 1)
         } else {
             END
         };
         for i in 0..columns {
-            // Two columns to the west at the lowest bits.
-            let here = (u64::from(made.occupied) << 2 | u64::from(around.west >> 30)) >> i;
-            let context = PIXEL + wide.pixel_context(i, here as usize & 3);
-            if !coder.bit(
-                learned_at(self.probabilities, context),
-                content.has_column(i as u16),
-            ) {
+            let flag = learned_at(self.probabilities, PIXEL + wide.pixel_context());
+            let is_active = coder.bit(flag, left & 1 == 1);
+            left >>= 1;
+            if !is_active {
                 west_list = END;
+                wide.go_on(false, false);
                 continue;
             }
             let x = 32 * segment + i;
             let list = content.enter((x as u16, y as u16));
-            let north_list = if around.north[1] >> i & 1 == 1 {
-                self.list(x)
-            } else {
-                END
-            };
-            let first_west =
-                (u64::from(made.first_on) << 1 | u64::from(around.first_west >> 31)) >> i;
-            let polarity = POLARITY
-                + wide.polarity_context(i, here as usize >> 1 & 1, first_west as usize & 1);
+            let north_list = if wide.has_north() { self.list(x) } else { END };
+            let polarity = POLARITY + wide.polarity_context();
             if !coder.has_room(EVENT_BYTES_MAX) {
                 pixels.coded.overran = true;
                 return false;
@@ -365,6 +357,7 @@ impl<'b> Dense<'b> {
             if !goes_on {
                 return false;
             }
+            wide.go_on(true, first_on);
         }
         true
     }
@@ -429,6 +422,8 @@ impl Around {
             u64::from(west >> 31) | u64::from(here) << 1 | u64::from(east & 1) << 33
         };
         Wide {
+            west: self.west >> 30,
+            first_west: self.first_west >> 31,
             north: wide(self.north),
             far_north: self.far_north,
             old: u64::from(self.old[0]) | u64::from(self.old[1] & 1) << 32,
@@ -439,9 +434,13 @@ impl Around {
     }
 }
 
-/// The same with its neighbours' bits beside: bit i + 1 is column i's, but for `old`.
+/// The same with its neighbours' bits beside, as seen from a column, which moves on: its own bit is
+/// the lowest but in `north`, `south` and `first_north`, where it is the second.
 #[derive(Debug)]
 struct Wide {
+    /// The two columns to the west, the nearer one at bit 1.
+    west: u32,
+    first_west: u32,
     north: u64,
     far_north: u32,
     old: u64,
@@ -450,31 +449,55 @@ struct Wide {
     first_north: u64,
 }
 
+/// How many bits a number of four has, 3 for more, two bits for each number.
+const COUNTS: u32 = {
+    let (mut counts, mut number) = (0, 0_u32);
+    while number < 16 {
+        let ones = number.count_ones();
+        counts |= (if ones < 3 { ones } else { 3 }) << (2 * number);
+        number += 1;
+    }
+    counts
+};
+
 impl Wide {
-    /// `west`: the column to the west at bit 1, and the one before it at bit 0.
     #[inline(always)]
-    fn pixel_context(&self, i: usize, west: usize) -> usize {
-        let north = (self.north >> i) as usize & 7;
-        let far_north = (self.far_north >> i) as usize & 1;
-        let old = (self.old >> i) as u32 & 3;
-        let later = (self.south >> i) as u32 & 7 | (old >> 1) << 3;
-        west | north << 2
-            | far_north << 5
-            | (old as usize & 1) << 6
-            | (later.count_ones().min(3) as usize) << 7
+    fn pixel_context(&self) -> usize {
+        let (north, old) = (self.north as u32 & 7, self.old as u32);
+        // East, and the three to the south.
+        let later = self.south as u32 & 7 | (old & 2) << 2;
+        let count = COUNTS >> (2 * later) & 3;
+        (self.west | north << 2 | (self.far_north & 1) << 5 | (old & 1) << 6 | count << 7) as usize
     }
 
     #[inline(always)]
-    fn polarity_context(&self, i: usize, west: usize, first_west: usize) -> usize {
+    fn has_north(&self) -> bool {
+        self.north & 2 != 0
+    }
+
+    #[inline(always)]
+    fn polarity_context(&self) -> usize {
         // None, OFF or ON.
-        let of = |occupied: usize, on: usize| (occupied & 1) * (1 + (on & 1));
-        let (north, first) = ((self.north >> i) as usize, (self.first_north >> i) as usize);
-        let old = of((self.old >> i) as usize, (self.old_last_on >> i) as usize);
-        let mut context = of(west, first_west);
+        let of = |occupied: u32, on: u32| (occupied & 1) * (1 + (on & 1));
+        let (north, first) = (self.north as u32, self.first_north as u32);
+        let mut context = of(self.west >> 1, self.first_west);
         for at in [1, 0, 2] {
             context = 3 * context + of(north >> at, first >> at);
         }
-        3 * context + old
+        (3 * context + of(self.old as u32, self.old_last_on)) as usize
+    }
+
+    /// To the next column; this one has events, of which the first is ON.
+    #[inline(always)]
+    fn go_on(&mut self, is_active: bool, first_on: bool) {
+        self.west = self.west >> 1 | u32::from(is_active) << 1;
+        self.first_west = u32::from(first_on);
+        self.north >>= 1;
+        self.far_north >>= 1;
+        self.old >>= 1;
+        self.south >>= 1;
+        self.old_last_on >>= 1;
+        self.first_north >>= 1;
     }
 }
 
@@ -842,11 +865,11 @@ mod tests {
                 .get(self.at.0)
                 .is_some_and(|pixel| (pixel.0.0 / 32, pixel.0.1) == self.place)
         }
-        fn has_column(&mut self, column: u16) -> bool {
-            let place = (32 * self.place.0 + column, self.place.1);
-            self.pixels
-                .get(self.at.0)
-                .is_some_and(|pixel| pixel.0 == place)
+        fn columns(&mut self) -> u32 {
+            let of_segment = self.pixels.get(self.at.0..).unwrap_or_default().iter();
+            of_segment
+                .take_while(|pixel| (pixel.0.0 / 32, pixel.0.1) == self.place)
+                .fold(0, |columns, pixel| columns | 1 << (pixel.0.0 % 32))
         }
         fn enter(&mut self, position: (u16, u16)) -> u32 {
             self.found.push((position, vec![]));

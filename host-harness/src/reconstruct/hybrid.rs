@@ -158,8 +158,8 @@ impl Content for Found<'_> {
         false
     }
 
-    fn has_column(&mut self, _: u16) -> bool {
-        false
+    fn columns(&mut self) -> u32 {
+        0
     }
 
     fn enter(&mut self, position: (u16, u16)) -> u32 {
