@@ -32,7 +32,7 @@ const RATES: [Rates; 9] = [
     ),
     rates(
         "davis346_static_sparse/davis346.aedat4",
-        [19.6, 16.75, 10.15, 4.95],
+        [19.6, 16.7, 10.15, 4.95],
     ),
     rates("gen3_vga_dense_evt2/evt2.raw", [11.45, 8.5, 3.2, 1.35]),
     rates(
@@ -45,7 +45,7 @@ const RATES: [Rates; 9] = [
     ),
     rates(
         "dvs128_walking_moderate/alex_walking_for_10secs.aedat",
-        [18.5, 16.35, 10.5, 6.15],
+        [18.5, 16.3, 10.5, 6.15],
     ),
     rates(
         "dvs128_walking_sparse/neal_walking.aedat",

@@ -1,7 +1,7 @@
 //! Which frames of the dense coder begin anew.
 
 /// Windows after which a key frame comes, where nothing else is set.
-pub const KEY_WINDOWS: u16 = 64;
+pub const KEY_WINDOWS: u16 = 128;
 /// Events after which the next window begins with a key frame, however few windows they were: what a
 /// host encodes in one go stays within bounds.
 pub const KEY_EVENTS: u32 = 1 << 20;
