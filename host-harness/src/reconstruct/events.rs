@@ -17,7 +17,7 @@ use eecvs_nostd::{Event, Polarity, Transform};
 use rayon::prelude::*;
 
 use super::bins::Bins;
-use super::{DecodedWindow, Pixel};
+use super::{DecodedWindow, Pixel, order};
 
 /// Grid points per atom: four in each half-period of the highest one.
 const POINTS_PER_ATOM: usize = 4;
@@ -44,11 +44,6 @@ pub struct EventDecoder {
     half_energy: Vec<f32>,
     /// Haar synthesis on K bins.
     bins: Option<Bins>,
-}
-
-fn in_order(mut events: Vec<Event>) -> Vec<Event> {
-    events.par_sort_unstable_by_key(|event| (event.t_us, event.y, event.x, event.polarity));
-    events
 }
 
 /// A decoded event of a pixel: u and p.
@@ -111,15 +106,15 @@ impl EventDecoder {
         std::f64::consts::PI * half_turns as f64
     }
 
-    /// A window's events, ordered by time, row, column and polarity.
+    /// A window's events, ordered by time, row and column.
     #[must_use]
     pub fn window(&self, window: &DecodedWindow) -> Vec<Event> {
         if !window.events.is_empty() {
-            return in_order(window.events.clone());
+            return order::by_time(&window.header, &window.events);
         }
         let header = &window.header;
         let duration_us = f64::from(header.duration_us);
-        let events: Vec<Event> = window
+        let mut events: Vec<Event> = window
             .pixels
             .par_iter()
             .with_min_len(64)
@@ -135,7 +130,8 @@ impl EventDecoder {
                 })
             })
             .collect();
-        in_order(events)
+        events.par_sort_unstable_by_key(|event| (event.t_us, event.y, event.x, event.polarity));
+        events
     }
 
     /// u and p of a pixel's events: `on` of +1 and `off` of -1, in no order.

@@ -3,6 +3,7 @@
 pub mod bins;
 pub mod events;
 pub mod hybrid;
+pub mod order;
 #[cfg(test)]
 mod test_header;
 pub mod volume;
