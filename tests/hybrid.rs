@@ -1,9 +1,13 @@
 //! Mode `hybrid`: what comes back is what was asked for, whatever the events, the frames' sizes and
 //! their losses.
 
+use eecvs_nostd::coder::dense::{self, DenseMemory};
+use eecvs_nostd::coder::range::Probability;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Frame, Header, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor,
+    Coder, Config, Event, Fidelity, Frame, Header, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity,
+    Scratch, Sensor, Slot, Window, WindowBuffers, WindowConfig, WindowEncoder, bitmap_words,
+    segments,
 };
 use host_harness::decode::WindowReader;
 use host_harness::frame_file::{FrameReader, LinkReport};
@@ -256,4 +260,57 @@ fn a_crowded_pixel_takes_several_frames() {
         assert_eq!(windows.len(), 1);
         assert_eq!(sorted(windows[0].events.clone()), sorted(events));
     }
+}
+
+/// A window of a sensor that the dense coder's memory is too small for goes out with the other coder,
+/// and its frame says so.
+#[test]
+fn a_window_beyond_the_dense_coders_memory_is_a_fast_frame() {
+    let side = |width, height| Sensor::new(width, height).expect("a sensor");
+    let (small, large) = (side(8, 8), side(400, 300));
+    let mut config = strategies::plain_config(small, eecvs_nostd::Transform::Dct, 8);
+    config.mode = Mode::Hybrid(Hybrid {
+        coder: Coder::Dense,
+        fidelity: Fidelity::Lossless,
+    });
+    let mut probabilities = vec![Probability::EVEN; dense::PROBABILITIES];
+    let mut words = vec![0; dense::words(small, true)];
+    let scratch = Scratch {
+        sums: &mut [],
+        totals: &mut [],
+        magnitudes: &mut [],
+        dense: Some(DenseMemory {
+            probabilities: &mut probabilities,
+            words: &mut words,
+        }),
+    };
+    let mut encoder = WindowEncoder::new(config, scratch).expect("enough for the small sensor");
+    let count = segments(400, 300);
+    let (mut slots, mut heads) = (vec![Slot::EMPTY; 10], vec![0; count]);
+    let mut bitmap = vec![0; bitmap_words(count)];
+    let buffers = WindowBuffers {
+        slots: &mut slots,
+        heads: &mut heads,
+        bitmap: &mut bitmap,
+    };
+    let window_config = WindowConfig {
+        sensor: large,
+        ..config.window
+    };
+    let mut window = Window::new(window_config, buffers).expect("a window");
+    let event = Event {
+        t_us: 9,
+        x: 399,
+        y: 299,
+        polarity: Polarity::Off,
+    };
+    window.push(event);
+    window.flush();
+    let mut out = vec![0; OUTPUT_BYTES_MIN];
+    let encoded = encoder.next_frame(&mut window, &mut out).expect("room");
+    let range = encoded.expect("a frame").range;
+    let frame = parse(&out[range.clone()]);
+    assert_eq!(frame.header.mode, Mode::Hybrid(Hybrid::default()));
+    let (windows, report) = decode(&[out[range].to_vec()]);
+    assert!(report.is_clean() && windows[0].events == [event]);
 }

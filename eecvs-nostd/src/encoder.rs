@@ -411,22 +411,30 @@ impl<'b> WindowEncoder<'b> {
         let header = &mut task.header;
         let cells = Cells::new(hybrid.fidelity, header.duration_us);
         let mut encoder = EventEncoder::new(&mut self.group, window, cells, &mut task.is_rest);
-        let taken = match (hybrid.coder, &mut self.scratch.dense) {
-            (Coder::Dense, Some(memory)) => {
+        let memory = self.scratch.dense.as_mut();
+        let is_dense = hybrid.coder == Coder::Dense;
+        let has_previous = memory
+            .as_ref()
+            .is_some_and(|memory| memory.has_previous(header.sensor));
+        let dense = memory
+            .filter(|_| is_dense)
+            .and_then(|memory| Dense::new(header.sensor, memory));
+        let taken = match dense {
+            Some(mut dense) => {
                 header.is_key |= core::mem::take(&mut self.breaks);
-                header.has_previous = memory.has_previous(header.sensor);
-                match Dense::new(header.sensor, memory) {
-                    Some(mut dense) => {
-                        if header.is_key {
-                            dense.restart();
-                        }
-                        encoder.dense(&mut dense, task.left, payload, trace)
-                    }
-                    // `Config::check` has seen that there is enough.
-                    None => encoder.fast(header, payload, trace),
+                header.has_previous = has_previous;
+                if header.is_key {
+                    dense.restart();
                 }
+                encoder.dense(&mut dense, task.left, payload, trace)
             }
-            _ => encoder.fast(header, payload, trace),
+            None => {
+                // Also where the memory, enough for the configured sensor, is not for this window's.
+                let coder = Coder::Fast;
+                header.mode = Mode::Hybrid(Hybrid { coder, ..hybrid });
+                header.is_key = true;
+                encoder.fast(header, payload, trace)
+            }
         };
         header.events = taken.events;
         header.last = taken.is_last;
