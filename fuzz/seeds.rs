@@ -122,6 +122,7 @@ fn frames(folder: &Path) -> anyhow::Result<()> {
             quantiser: Quantiser::DEFAULT,
             mode: Mode::Transform,
             key_windows: KEY_WINDOWS,
+            readout: None,
         };
         let mut storage = HostStorage::new(sensor, 100);
         let mut encoder = storage.encoder(config)?;

@@ -18,6 +18,7 @@ fn header() -> Header {
         mode: Mode::Transform,
         is_key: true,
         has_previous: false,
+        scans: None,
         sequence: 0,
         part: 0,
         sensor: Sensor {

@@ -5,9 +5,9 @@ use eecvs_nostd::coder::dense::{self, DenseMemory};
 use eecvs_nostd::coder::range::Probability;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Frame, Header, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity,
-    Scratch, Sensor, Slot, Window, WindowBuffers, WindowConfig, WindowEncoder, bitmap_words,
-    segments,
+    Axis, Coder, Config, Event, Fidelity, Frame, Header, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity,
+    Readout, Scans, Scratch, Sensor, Slot, Window, WindowBuffers, WindowConfig, WindowEncoder,
+    bitmap_words, segments,
 };
 use host_harness::decode::WindowReader;
 use host_harness::frame_file::{FrameReader, LinkReport};
@@ -16,16 +16,51 @@ use host_harness::reconstruct::hybrid::HybridDecoder;
 use proptest::prelude::*;
 use strategies::{encode, hybrid, job, parse};
 
-fn hybrid_job(most: usize) -> impl Strategy<Value = (Config, Hybrid, Vec<Event>)> {
-    (job(most), hybrid(), 1_u16..6).prop_map(|((config, events), hybrid, key_windows)| {
-        let mode = Mode::Hybrid(hybrid);
-        let config = Config {
-            mode,
-            key_windows,
-            ..config
+fn readout() -> impl Strategy<Value = Readout> {
+    let axis = prop_oneof![Just(Axis::Columns), Just(Axis::Rows)];
+    (axis, 16_u32 << 16..=250 << 16, -(3 << 16)..=3 << 16)
+        .prop_map(|(axis, period, slope)| Readout::new(axis, period, slope).expect("in range"))
+}
+
+/// Moves most events to the time at which their line was read.
+fn scanned(readout: Readout, events: &mut [Event]) {
+    let start_us = events.iter().map(|event| event.t_us).min().unwrap_or(0);
+    let (period, slope) = (
+        i64::from(readout.period_q16()),
+        i64::from(readout.slope_q16()),
+    );
+    for (i, event) in events.iter_mut().enumerate() {
+        let line = match readout.axis() {
+            Axis::Columns => event.x,
+            Axis::Rows => event.y,
         };
-        (config, hybrid, events)
-    })
+        let since_q16 = ((event.t_us - start_us) as i64) << 16;
+        let time_q16 = since_q16 / period * period + i64::from(line) * slope;
+        let jitter_us = i64::from(i % 7 == 0) - 2 * i64::from(i % 11 == 0);
+        let t_us = (start_us as i64).saturating_add((time_q16 >> 16) + jitter_us);
+        if i % 5 > 0 {
+            event.t_us = t_us.max(0) as u64;
+        }
+    }
+}
+
+fn hybrid_job(most: usize) -> impl Strategy<Value = (Config, Hybrid, Vec<Event>)> {
+    let readout = proptest::option::of(readout());
+    (job(most), hybrid(), 1_u16..6, readout).prop_map(
+        |((config, mut events), hybrid, key_windows, readout)| {
+            if let Some(readout) = readout {
+                scanned(readout, &mut events);
+            }
+            let mode = Mode::Hybrid(hybrid);
+            let config = Config {
+                mode,
+                key_windows,
+                readout,
+                ..config
+            };
+            (config, hybrid, events)
+        },
+    )
 }
 
 fn decode(frames: &[Vec<u8>]) -> (Vec<DecodedWindow>, LinkReport) {
@@ -184,7 +219,10 @@ proptest! {
         hybrid in hybrid(), payload in proptest::collection::vec(any::<u8>(), 0..300),
         (width, height) in (1_u16..100, 1_u16..50), duration_us in 1_u32..,
         events in 0_u32..5000, more in 0_u32..5000, flags in 0_u8..8,
+        (readout, phase_q16) in (readout(), any::<i32>()),
     ) {
+        let scans = Scans::new(readout, phase_q16, Sensor { width, height }, duration_us);
+        let scans = scans.filter(|_| hybrid.coder == Coder::Dense && hybrid.fidelity == Fidelity::Lossless);
         let header = Header {
             mode: Mode::Hybrid(hybrid),
             sensor: Sensor { width, height },
@@ -195,6 +233,7 @@ proptest! {
             is_key: hybrid.coder == Coder::Fast || flags & 2 != 0,
             has_previous: hybrid.coder == Coder::Dense && flags & 4 != 0,
             pixels: 0,
+            scans,
             ..header()
         };
         let mut out = vec![0; HEADER_BYTES_MAX + payload.len() + 4];
@@ -313,4 +352,43 @@ fn a_window_beyond_the_dense_coders_memory_is_a_fast_frame() {
     assert_eq!(frame.header.mode, Mode::Hybrid(Hybrid::default()));
     let (windows, report) = decode(&[out[range].to_vec()]);
     assert!(report.is_clean() && windows[0].events == [event]);
+}
+
+/// The property tests above do reach frames that are told by scans, and those are shorter.
+#[test]
+fn times_on_a_grid_are_told_by_scans() {
+    let sensor = Sensor::new(200, 100).expect("a sensor");
+    let readout = Readout::new(Axis::Columns, 197 << 16, -(39 << 10)).expect("in range");
+    let mut events: Vec<Event> = (0..4000_u64)
+        .map(|i| Event {
+            t_us: 1000 + i * 8,
+            x: (i.wrapping_mul(2_654_435_761) >> 7) as u16 % 200,
+            y: (i.wrapping_mul(2_246_822_519) >> 9) as u16 % 100,
+            polarity: Polarity::from_bool(i % 3 == 0),
+        })
+        .collect();
+    scanned(readout, &mut events);
+    events.sort_by_key(|event| event.t_us);
+    let bytes = |fidelity, readout| {
+        let mut config = strategies::plain_config(sensor, eecvs_nostd::Transform::Dct, 8);
+        config.readout = readout;
+        config.mode = Mode::Hybrid(Hybrid {
+            coder: Coder::Dense,
+            fidelity,
+        });
+        let frames = encode(config, &events, 1 << 14, 1 << 20);
+        let header = parse(&frames[0]).header;
+        (frames.concat().len(), header.scans.is_some(), header.mode)
+    };
+    let (without, is_told, _) = bytes(Fidelity::Lossless, None);
+    assert!(!is_told);
+    let (with, is_told, mode) = bytes(Fidelity::Lossless, Some(readout));
+    assert!(is_told && with * 5 < without * 4, "{with} {without}");
+    // A tolerance that is finer than the scans costs more than exact times; a coarser one does not.
+    assert_eq!(
+        bytes(Fidelity::ToleranceUs(20), Some(readout)),
+        (with, true, mode)
+    );
+    assert!(!bytes(Fidelity::ToleranceUs(200), Some(readout)).1);
+    assert!(!bytes(Fidelity::Bins(8), Some(readout)).1);
 }

@@ -35,6 +35,7 @@ fn config() -> Config {
         quantiser: Quantiser::DEFAULT,
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
+        readout: None,
     }
 }
 

@@ -44,6 +44,7 @@ fn frames(path: &Path, transform: Option<Transform>, m: u8, thresholds: Threshol
         quantiser: Quantiser::DEFAULT,
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
+        readout: None,
     };
     let mut bytes = Vec::new();
     let summary = encode(

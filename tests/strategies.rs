@@ -78,6 +78,7 @@ pub fn config(sensor: Sensor) -> impl Strategy<Value = Config> {
                 quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
                 mode: Mode::Transform,
                 key_windows: KEY_WINDOWS,
+                readout: None,
             },
         )
 }
@@ -113,6 +114,7 @@ pub fn plain_config(sensor: Sensor, transform: Transform, m: u8) -> Config {
         quantiser: Quantiser::DEFAULT,
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
+        readout: None,
     }
 }
 

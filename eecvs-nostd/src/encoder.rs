@@ -5,7 +5,7 @@ use core::ops::Range;
 use crate::bits::BitWriter;
 use crate::coder::chain::Chain;
 use crate::coder::dense::{Dense, DenseMemory};
-use crate::coder::{Cells, Coder, Fidelity, Hybrid};
+use crate::coder::{Coder, Fidelity, Hybrid, Readout, Scans, Times};
 use crate::density::Density;
 use crate::event::Event;
 use crate::event_encoder::EventEncoder;
@@ -50,6 +50,9 @@ pub struct Config {
     /// Windows after which a frame of the dense coder begins anew, so that a decoder that lost one
     /// goes on: [`crate::coder::chain::KEY_WINDOWS`] is a choice for files and good links.
     pub key_windows: u16,
+    /// How the sensor scans: a window whose times lie on such scans is told by them, by the dense
+    /// coder where it is lossless.
+    pub readout: Option<Readout>,
 }
 
 /// Why a configuration cannot run.
@@ -365,15 +368,31 @@ impl<'b> WindowEncoder<'b> {
         let regime = self.config.thresholds.regime(density);
         let transform = self.config.transform.unwrap_or(regime.transform());
         self.group.restart();
+        let memory = &self.scratch.dense;
+        let is_dense_here = memory.as_ref().is_some_and(|memory| memory.serves(sensor));
+        let scans = self
+            .config
+            .readout
+            .filter(|readout| is_dense_here && readout.serves(self.config.mode));
+        let scans = scans.and_then(|readout| Scans::fit(readout, window));
+        let mode = match (self.config.mode, scans) {
+            // Exact times then cost less than those within a tolerance.
+            (Mode::Hybrid(hybrid), Some(_)) => Mode::Hybrid(Hybrid {
+                fidelity: Fidelity::Lossless,
+                ..hybrid
+            }),
+            (mode, _) => mode,
+        };
         Task {
             header: Header {
                 truncated: closed.truncated,
                 last: false,
                 regime,
-                mode: self.config.mode,
+                mode,
                 is_key: !is_dense(self.config.mode)
                     || self.chain.next(window.events(), self.config.key_windows),
                 has_previous: false,
+                scans,
                 sequence: 0,
                 part: 0,
                 sensor,
@@ -409,8 +428,8 @@ impl<'b> WindowEncoder<'b> {
         trace: &mut T,
     ) -> usize {
         let header = &mut task.header;
-        let cells = Cells::new(hybrid.fidelity, header.duration_us);
-        let mut encoder = EventEncoder::new(&mut self.group, window, cells, &mut task.is_rest);
+        let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
+        let mut encoder = EventEncoder::new(&mut self.group, window, times, &mut task.is_rest);
         let memory = self.scratch.dense.as_mut();
         let is_dense = hybrid.coder == Coder::Dense;
         let has_previous = memory
@@ -515,6 +534,7 @@ impl<'b> WindowEncoder<'b> {
 ///     quantiser: Quantiser::DEFAULT,
 ///     mode: Mode::Hybrid(Hybrid::default()),
 ///     key_windows: KEY_WINDOWS,
+///     readout: None,
 /// };
 /// let mut encoder = storage.encoder(config).unwrap();
 /// let mut out = [0; 2048];

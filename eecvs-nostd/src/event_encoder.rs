@@ -1,7 +1,7 @@
 //! A window's events to a hybrid frame: group, cells, and one of the coders.
 
 use crate::bits::BitWriter;
-use crate::coder::Cells;
+use crate::coder::Times;
 use crate::coder::content::{Content, Node};
 use crate::coder::dense::Dense;
 use crate::coder::fast::{Fast, ROOM_WORDS};
@@ -26,8 +26,8 @@ pub(crate) struct Taken {
 pub(crate) struct EventEncoder<'e, 'w, 'b> {
     group: &'e mut Group,
     window: &'w mut Window<'b>,
-    cells: Cells,
-    /// The next pixel is the rest of one whose times are cells, in order.
+    times: Times,
+    /// The next pixel is the rest of one whose times are in order and as they are told.
     is_rest: &'e mut bool,
 }
 
@@ -35,18 +35,18 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
     pub(crate) const fn new(
         group: &'e mut Group,
         window: &'w mut Window<'b>,
-        cells: Cells,
+        times: Times,
         is_rest: &'e mut bool,
     ) -> Self {
         Self {
             group,
             window,
-            cells,
+            times,
             is_rest,
         }
     }
 
-    /// The next pixel, its times in cells and in order.
+    /// The next pixel, its times as they are told and in order.
     #[inline(always)]
     fn next(&mut self) -> Option<Pixel> {
         let mut pixel = self.group.next(self.window)?;
@@ -54,11 +54,12 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             return Some(pixel);
         }
         let slots = self.window.slots();
-        if !self.cells.is_lossless() {
+        if !self.times.are_plain() {
+            let place = (pixel.x, pixel.y);
             let mut at = pixel.head;
             while let Some(slot) = slots.get_mut(at as usize) {
                 at = slot.next();
-                *slot = slot.with_offset_us(self.cells.of(slot.offset_us()));
+                *slot = slot.with_offset_us(self.times.of(place, slot.offset_us()));
             }
         }
         if pixel.on + pixel.off > 1 {
@@ -93,7 +94,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         trace: &mut T,
     ) -> Taken {
         let mut writer = BitWriter::new(out);
-        let mut coder = Fast::new(header.sensor, header.window_events, self.cells.count());
+        let mut coder = Fast::new(header.sensor, header.window_events, self.times.count());
         let mut taken = Taken {
             payload_bytes: 0,
             events: 0,
@@ -136,7 +137,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
     ) -> Taken {
         trace.enter(Stage::Pack);
         let mut coder = RangeEncoder::new(out);
-        let cells = self.cells.count();
+        let times = self.times;
         let mut content = Pixels {
             pixel: None,
             at: 0,
@@ -146,7 +147,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             left,
             encoder: self,
         };
-        let coded = dense.code(&mut coder, &mut content, cells);
+        let coded = dense.code(&mut coder, &mut content, times);
         let (pixel, at, rest) = (content.pixel, content.at, content.rest);
         if let Some(pixel) = pixel
             && rest > 0

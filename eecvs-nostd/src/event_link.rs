@@ -208,6 +208,7 @@ impl Setup {
             quantiser: Quantiser::new(self.step_log2)?,
             mode: Mode::from_code(self.mode, self.fidelity)?,
             key_windows: self.key_windows,
+            readout: None,
         })
     }
 }

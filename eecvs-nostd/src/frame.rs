@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bits::BitReader;
 use crate::checksum::{CRC_16, crc_32};
-use crate::coder::{Coder, Fidelity, Hybrid};
+use crate::coder::{Axis, Coder, Fidelity, Hybrid, Readout, Scans};
 use crate::descriptor::Descriptor;
 use crate::event::Sensor;
 use crate::packing::Packing;
@@ -24,14 +24,14 @@ pub const VERSION: u8 = 2;
 /// Largest frame, sync to CRC-32.
 pub const FRAME_BYTES_MAX: usize = 1 << 24;
 /// Largest header, sync to CRC-16.
-pub const HEADER_BYTES_MAX: usize = 96;
+pub const HEADER_BYTES_MAX: usize = 104;
 /// Bytes of the CRC-32 that ends a frame.
 pub const CRC_BYTES: usize = 4;
 
 /// Sync, version and header length.
 const PREFIX_BYTES: usize = 4;
 /// Every field of the header at its longest.
-const FIELDS_BYTES_MAX: usize = 86;
+const FIELDS_BYTES_MAX: usize = 94;
 const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
 
 /// What a payload holds.
@@ -61,6 +61,8 @@ pub struct Header {
     pub is_key: bool,
     /// The dense coder looks at the window before.
     pub has_previous: bool,
+    /// The times lie on these scans; of lossless frames of the dense coder alone.
+    pub scans: Option<Scans>,
     /// Sequence number of the frame; wraps.
     pub sequence: u32,
     /// Number of the frame within its window, from 0.
@@ -136,6 +138,14 @@ struct ShapeWire {
     step_log2: i8,
 }
 
+/// Where one of [`COLUMNS`] and [`ROWS`] is set.
+#[derive(Serialize, Deserialize)]
+struct ScanWire {
+    period_q16: u32,
+    slope_q16: i32,
+    phase_q16: i32,
+}
+
 const TRUNCATED: u8 = 1;
 const LAST: u8 = 1 << 1;
 const REGIME_SHIFT: u32 = 2;
@@ -155,6 +165,9 @@ const TOLERANCE: u8 = 1;
 const BINS: u8 = 2;
 const KEY: u8 = 1 << 4;
 const PREVIOUS: u8 = 1 << 5;
+/// Axes of a scan.
+const COLUMNS: u8 = 1 << 6;
+const ROWS: u8 = 1 << 7;
 
 impl Mode {
     /// Its code on a link, and the value that goes with it where there is one.
@@ -284,6 +297,11 @@ impl Header {
         let mut mode = code;
         if code & CODER == DENSE {
             mode |= (u8::from(self.is_key) * KEY) | (u8::from(self.has_previous) * PREVIOUS);
+            mode |= match self.scans.map(|scan| scan.readout().axis()) {
+                None => 0,
+                Some(Axis::Columns) => COLUMNS,
+                Some(Axis::Rows) => ROWS,
+            };
         }
         let has_shape = is_transform || shape != Self::default_shape(self.regime);
         let wire = Wire {
@@ -327,6 +345,14 @@ impl Header {
         if let Some(value) = value {
             put(&|out| Ok(postcard::to_slice(&value, out)?.len()))?;
         }
+        if let Some(scan) = self.scans {
+            let scan = ScanWire {
+                period_q16: scan.readout().period_q16(),
+                slope_q16: scan.readout().slope_q16(),
+                phase_q16: scan.phase_q16(),
+            };
+            put(&|out| Ok(postcard::to_slice(&scan, out)?.len()))?;
+        }
         Ok(len)
     }
 
@@ -341,7 +367,7 @@ impl Header {
         let rest = &mut &*fields;
         let wire: Wire = take(rest)?;
         let has = |flag: u8| wire.flags & flag != 0;
-        if wire.flags >> 7 != 0 || wire.mode >> 6 != 0 {
+        if wire.flags >> 7 != 0 {
             return None;
         }
         let regime = Regime::from_code(wire.flags >> REGIME_SHIFT & 3)?;
@@ -384,21 +410,42 @@ impl Header {
         } else if is_transform {
             return None;
         }
-        let chained = wire.mode & (KEY | PREVIOUS);
+        let chained = wire.mode & (KEY | PREVIOUS | COLUMNS | ROWS);
         if coder != DENSE && chained != 0 {
             return None;
         }
-        let code = wire.mode & !(KEY | PREVIOUS);
+        let code = wire.mode ^ chained;
         let value = if has_value(code) {
             Some(take(rest)?)
         } else {
             None
         };
         let mode = Mode::from_code(code, value.unwrap_or(0))?;
+        let sensor = Sensor::new(wire.width, wire.height)?;
+        let axis = match chained & (COLUMNS | ROWS) {
+            0 => None,
+            COLUMNS => Some(Axis::Columns),
+            ROWS => Some(Axis::Rows),
+            _ => return None,
+        };
+        let scan = match axis {
+            None => None,
+            // Other fidelities tell times as cells.
+            Some(_) if has_value(code) => return None,
+            Some(axis) => {
+                let told: ScanWire = take(rest)?;
+                let readout = Readout::new(axis, told.period_q16, told.slope_q16)?;
+                Some(Scans::new(
+                    readout,
+                    told.phase_q16,
+                    sensor,
+                    wire.duration_us,
+                )?)
+            }
+        };
         if !rest.is_empty() {
             return None;
         }
-        let sensor = Sensor::new(wire.width, wire.height)?;
         let transform = Transform::from_code(shape.transform)?;
         let header = Self {
             truncated: has(TRUNCATED),
@@ -407,6 +454,7 @@ impl Header {
             mode,
             is_key: coder != DENSE || chained & KEY != 0,
             has_previous: chained & PREVIOUS != 0,
+            scans: scan,
             sequence: wire.sequence,
             part: part.part,
             sensor,
@@ -613,6 +661,7 @@ mod tests {
             }),
             is_key: true,
             has_previous: true,
+            scans: None,
             sequence: u32::MAX,
             part: u32::MAX,
             sensor: Sensor {
@@ -639,5 +688,19 @@ mod tests {
             let header = Header { mode, ..header };
             assert!(header.write(u32::MAX, &mut bytes).unwrap() <= FIELDS_BYTES_MAX);
         }
+        // Scans take more.
+        let readout = Readout::new(Axis::Columns, 250 << 16, -(125 << 16)).unwrap();
+        let sensor = Sensor::new(2048, 1).unwrap();
+        let scan = Scans::new(readout, i32::MIN, sensor, 1).unwrap();
+        let hybrid = Hybrid {
+            coder: Coder::Dense,
+            fidelity: Fidelity::Lossless,
+        };
+        let header = Header {
+            mode: Mode::Hybrid(hybrid),
+            scans: Some(scan),
+            ..header
+        };
+        assert!(header.write(u32::MAX, &mut bytes).unwrap() <= FIELDS_BYTES_MAX);
     }
 }

@@ -57,7 +57,7 @@ mod waves_dsp;
 pub mod window;
 
 pub use coder::chain::KEY_WINDOWS;
-pub use coder::{Cells, Coder, Fidelity, Hybrid};
+pub use coder::{Axis, Cells, Coder, Fidelity, Hybrid, Readout, Scans, Times};
 pub use density::Density;
 pub use descriptor::{Coded, Descriptor};
 pub use encoder::{

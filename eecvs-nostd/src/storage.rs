@@ -113,6 +113,7 @@ mod tests {
         quantiser: Quantiser::DEFAULT,
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
+        readout: None,
     };
 
     /// Anything but zeros would move the buffers from .bss to .data, into flash.

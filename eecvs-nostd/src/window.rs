@@ -193,6 +193,9 @@ impl<'b> WindowBuffers<'b> {
 /// Words taken at once of a time that lies in a window in part.
 const STRADDLING_WORDS: usize = 64;
 
+/// Events of a segment that [`Window::sample`] hands out.
+const SAMPLES_OF_SEGMENT: u32 = 4;
+
 const SLOT_WORDS: usize = size_of::<Slot>() / size_of::<u32>();
 
 /// What became of a pushed event.
@@ -600,6 +603,29 @@ impl<'b> Window<'b> {
     pub(crate) fn take_head(&mut self, segment: u32) -> u32 {
         let head = self.heads.get_mut(segment as usize);
         head.map_or(NO_SLOT, |head| index(core::mem::replace(head, NO_HEAD)))
+    }
+
+    /// Position and time of up to `most` events, of every segment the newest ones, before they are taken.
+    pub(crate) fn sample(&self, most: u32, mut each: impl FnMut((u16, u16), u32)) {
+        let mut left = most;
+        for (i, word) in self.bitmap.iter().enumerate() {
+            let mut word = *word;
+            while word != 0 && left > 0 {
+                let segment = 32 * i as u32 + word.leading_zeros();
+                word ^= FIRST >> word.leading_zeros();
+                let (x, y) = self.segment_origin(segment);
+                let head = self.heads.get(segment as usize).copied();
+                let mut at = head.map_or(NO_SLOT, index);
+                for _ in 0..SAMPLES_OF_SEGMENT.min(left) {
+                    let Some(slot) = self.slots.get(at as usize) else {
+                        break;
+                    };
+                    each((x + slot.column() as u16, y), slot.offset_us());
+                    at = slot.next();
+                    left -= 1;
+                }
+            }
+        }
     }
 
     /// The buffered events.

@@ -40,6 +40,7 @@ const IDLE: Config = Config {
     quantiser: Quantiser::DEFAULT,
     mode: Mode::Transform,
     key_windows: KEY_WINDOWS,
+    readout: None,
 };
 
 /// Ticks, summed up beyond 32 bits.

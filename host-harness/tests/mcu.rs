@@ -48,6 +48,7 @@ fn config() -> Config {
         quantiser: Quantiser::DEFAULT,
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
+        readout: None,
     }
 }
 

@@ -66,6 +66,7 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
         quantiser: Quantiser::DEFAULT,
         mode,
         key_windows: KEY_WINDOWS,
+        readout: None,
     })?;
     let mut output = Output::default();
     let mut decoder = Evt2Decoder::new(0);

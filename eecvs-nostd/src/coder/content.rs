@@ -6,7 +6,7 @@ pub const END: u32 = u32::MAX;
 /// An event of a list.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Node {
-    /// Cell of its time.
+    /// What its time is told as: [`super::Times`].
     pub cell: u32,
     /// Polarity.
     pub on: bool,
@@ -27,7 +27,7 @@ pub trait Content {
     fn enter(&mut self, position: (u16, u16)) -> u32;
     /// Whether the pixel has a further event.
     fn is_more(&self) -> bool;
-    /// Cell and polarity of it.
+    /// What its time is told as, and its polarity.
     fn peek(&self) -> (u32, bool);
     /// It has been coded as this.
     fn take(&mut self, cell: u32, on: bool);

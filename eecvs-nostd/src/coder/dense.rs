@@ -13,6 +13,8 @@
 
 use super::content::{Content, END};
 use super::range::{Binary, Probability};
+use super::scan::{fine_of, fine_parts};
+use super::times::Times;
 use crate::event::Sensor;
 
 /// Learned probabilities, by what they are of.
@@ -28,18 +30,21 @@ const LENGTH_NEAR: usize = LENGTH + 12 * 6 * 2 * 16;
 const LONGER: usize = LENGTH_NEAR + 12 * 9 * 2 * 16;
 const FIRST: usize = LONGER + 32;
 const PREFIX: usize = FIRST + 64;
+const FINE: usize = PREFIX + 17 * PREFIX_CONTEXTS;
 /// How many there are, of 2 bytes each.
-pub const PROBABILITIES: usize = PREFIX + 17 * PREFIX_CONTEXTS;
+pub const PROBABILITIES: usize = FINE + 2 + FINE_LEARNED as usize;
 /// Of a length: 15 places with either bit of the candidate, 3 after the first difference with its
 /// direction, and a tree of 3 where there is no candidate.
 const PREFIX_CONTEXTS: usize = 30 + 12 + 8;
 /// The first times' set of them: beyond those of the lengths.
 const PREFIX_FIRST: usize = 16;
 
+/// Magnitudes of a distance from a scan that are learned; the others are plain.
+const FINE_LEARNED: u32 = 4;
 /// Bits of the first time that are learned where no neighbour has one.
 const FIRST_BITS: u32 = 6;
-/// Bytes that an event takes at the most: 60 decisions of up to 7.7 bits, and 32 plain ones.
-pub const EVENT_BYTES_MAX: usize = 64;
+/// Bytes that an event takes at the most: 66 decisions of up to 7.7 bits, and 32 plain ones.
+pub const EVENT_BYTES_MAX: usize = 72;
 /// Events of a neighbour looked at for one of the same polarity.
 const LOOK_AHEAD: usize = 4;
 
@@ -163,17 +168,19 @@ impl<'b> Dense<'b> {
         self.last_on.fill(0);
     }
 
-    /// Codes a frame of `cells` cells, up to the end of its content or of the coder's room.
+    /// Codes a frame, whose times are told so, up to the end of its content or of the coder's room.
     pub fn code<C: Binary, T: Content>(
         &mut self,
         coder: &mut C,
         content: &mut T,
-        cells: u32,
+        times: Times,
     ) -> Coded {
+        let cells = times.count();
         let mut pixels = Pixels {
             state: PixelState {
                 cells,
                 time_bits: 32 - (cells - 1).leading_zeros(),
+                fine_bits: times.fine_bits(),
                 last_length: 0,
             },
             coded: Coded {
@@ -511,6 +518,8 @@ struct PixelState {
     cells: u32,
     /// Bits of a cell's number.
     time_bits: u32,
+    /// Bits that are told beside it.
+    fine_bits: u32,
     /// Bits of the last distance between two events of a pixel, up to 15.
     last_length: u32,
 }
@@ -546,13 +555,15 @@ impl PixelState {
         polarity: usize,
         (mut west, mut north): (u32, u32),
     ) -> (bool, bool, u32, bool) {
-        let (cell, on) = content.peek();
+        let (told, on) = content.peek();
+        let cell = told >> self.fine_bits;
         let first_on = coder.bit(learned_at(learned, polarity), on);
+        let fine_bits = self.fine_bits;
         let like = |list: u32, content: &T| {
             content
                 .at(list)
                 .filter(|node| node.on == first_on)
-                .map(|node| node.cell)
+                .map(|node| node.cell >> fine_bits)
         };
         let candidate = like(west, content).or_else(|| like(north, content));
         // Here and below, only what no encoder writes goes beyond the last cell.
@@ -564,14 +575,14 @@ impl PixelState {
             }
             None => self.first(learned, coder, cell),
         };
-        content.take(cell, first_on);
+        content.take(self.fine(learned, coder, cell, told), first_on);
         let (mut on, mut before, mut events) = (first_on, 2, 1);
         loop {
             if content.is_over() || !coder.has_room(EVENT_BYTES_MAX) {
                 return (first_on, on, events, false);
             }
-            let west_next = after(content, &mut west, cell);
-            let north_next = after(content, &mut north, cell);
+            let west_next = after(content, &mut west, cell, fine_bits);
+            let north_next = after(content, &mut north, cell, fine_bits);
             let later = self.later(cell);
             let next = usize::from(west_next.is_some()) | usize::from(north_next.is_some()) << 1;
             let length = if events == 1 { 0 } else { self.last_length };
@@ -582,7 +593,7 @@ impl PixelState {
             if !coder.bit(flag, content.is_more()) {
                 break;
             }
-            let (next_cell, next_on) = content.peek();
+            let (told, next_on) = content.peek();
             let near_on = west_next
                 .or(north_next)
                 .map_or(0, |(_, on)| 1 + usize::from(on));
@@ -596,12 +607,13 @@ impl PixelState {
                 (Some((one, _)), None) | (None, Some((one, _))) => one,
                 (None, None) => 0,
             };
-            let mut distance = next_cell.wrapping_sub(cell);
+            let mut distance = (told >> fine_bits).wrapping_sub(cell);
             let length = length_of(distance);
             let length = self.length(learned, coder, length, (later.rest, near, flips));
             if length > 1 {
-                let like =
-                    |list: u32, content: &T| same_length(content, list, (cell, next_on, length));
+                let like = |list: u32, content: &T| {
+                    same_length(content, list, (cell, next_on, length), fine_bits)
+                };
                 let candidate = like(west, content).or_else(|| like(north, content));
                 let set = (length as usize).min(15);
                 // The highest bit is 1.
@@ -613,10 +625,32 @@ impl PixelState {
             cell = cell.saturating_add(distance).min(self.cells - 1);
             on = next_on;
             self.last_length = length.min(15);
-            content.take(cell, on);
+            content.take(self.fine(learned, coder, cell, told), on);
             events += 1;
         }
         (first_on, on, events, true)
+    }
+
+    /// What is told beside a cell, where there is anything.
+    #[inline(always)]
+    fn fine<C: Binary>(&self, learned: &mut Learned, coder: &mut C, cell: u32, told: u32) -> u32 {
+        if self.fine_bits == 0 {
+            return cell;
+        }
+        let mask = (1 << self.fine_bits) - 1;
+        let (magnitude, is_before) = fine_parts(told & mask);
+        let mut made = 0;
+        while made < FINE_LEARNED
+            && coder.bit(learned_at(learned, FINE + made as usize), magnitude > made)
+        {
+            made += 1;
+        }
+        if made == FINE_LEARNED {
+            made += coder.plain(magnitude.saturating_sub(made), self.fine_bits - 1);
+        }
+        let sign = FINE + FINE_LEARNED as usize + usize::from(made > 1);
+        let is_before = made > 0 && coder.bit(learned_at(learned, sign), is_before);
+        cell << self.fine_bits | fine_of(made, is_before)
     }
 
     /// The first time of a pixel whose neighbours tell nothing.
@@ -709,11 +743,17 @@ struct Later {
 
 /// Moves a neighbour's list behind `cell`; how far its next event is from there, and its polarity.
 #[inline(always)]
-fn after<T: Content>(content: &T, list: &mut u32, cell: u32) -> Option<(u32, bool)> {
+fn after<T: Content>(
+    content: &T,
+    list: &mut u32,
+    cell: u32,
+    fine_bits: u32,
+) -> Option<(u32, bool)> {
     loop {
         let node = content.at(*list)?;
-        if node.cell > cell {
-            return Some((node.cell - cell, node.on));
+        let its = node.cell >> fine_bits;
+        if its > cell {
+            return Some((its - cell, node.on));
         }
         *list = node.next;
     }
@@ -726,11 +766,12 @@ fn same_length<T: Content>(
     content: &T,
     mut list: u32,
     (cell, on, length): (u32, bool, u32),
+    fine_bits: u32,
 ) -> Option<u32> {
     for _ in 0..LOOK_AHEAD {
         let node = content.at(list)?;
         if node.on == on {
-            let distance = node.cell.wrapping_sub(cell);
+            let distance = (node.cell >> fine_bits).wrapping_sub(cell);
             return (length_of(distance) == length).then_some(distance);
         }
         list = node.next;
@@ -804,6 +845,7 @@ const fn low_mask(bits: u32) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::cells::Fidelity;
     use super::super::content::Node;
     use super::super::range::{RangeDecoder, RangeEncoder};
     use super::*;
@@ -939,6 +981,7 @@ mod tests {
         cells: u32,
         out_bytes: usize,
     ) -> Vec<usize> {
+        let times = Times::new(Fidelity::Lossless, None, cells);
         let count = |pixels: &[Pixel]| pixels.iter().map(|pixel| pixel.1.len() as u32).sum::<u32>();
         let mut frames = vec![];
         let mut content = Listed::new(pixels.to_vec(), count(pixels));
@@ -946,12 +989,12 @@ mod tests {
         while !content.is_over() {
             let mut out = vec![0; out_bytes];
             let mut coder = RangeEncoder::new(&mut out);
-            let coded = encoder.code(&mut coder, &mut content, cells);
+            let coded = encoder.code(&mut coder, &mut content, times);
             assert!(coded.events > 0);
             let bytes = coder.finish();
             let mut reader = RangeDecoder::new(&out[..bytes]);
             let mut read = Listed::new(vec![], coded.events);
-            let again = decoder.code(&mut reader, &mut read, cells);
+            let again = decoder.code(&mut reader, &mut read, times);
             assert_eq!((again.events, again.pixels), (coded.events, coded.pixels));
             assert!(coded.overran || reader.is_spent());
             if coded.overran {
@@ -1024,7 +1067,8 @@ mod tests {
             decoder.restart();
             let mut reader = RangeDecoder::new(&bytes);
             let mut read = Listed::new(vec![], left);
-            let coded = decoder.code(&mut reader, &mut read, cells);
+            let times = Times::new(Fidelity::Lossless, None, cells);
+            let coded = decoder.code(&mut reader, &mut read, times);
             prop_assert_eq!(coded.events, left - read.left);
             for ((x, y), events) in read.found {
                 prop_assert!(x < width && y < height);

@@ -10,8 +10,12 @@ pub mod content;
 pub mod dense;
 pub mod fast;
 pub mod range;
+pub mod scan;
+pub mod times;
 
 pub use cells::{Cells, Fidelity};
+pub use scan::{Axis, Readout, Scans};
+pub use times::Times;
 
 /// How events become bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]

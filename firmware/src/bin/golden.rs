@@ -384,6 +384,7 @@ fn config(golden: &Golden) -> Option<Config> {
         quantiser: Quantiser::DEFAULT,
         mode,
         key_windows: KEY_WINDOWS,
+        readout: None,
     })
 }
 

@@ -312,6 +312,7 @@ fn main() -> ! {
                 quantiser: Quantiser::DEFAULT,
                 mode,
                 key_windows: KEY_WINDOWS,
+                readout: None,
             };
             let mut probe = Probe::new();
             let dense = DenseMemory {

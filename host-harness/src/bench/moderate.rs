@@ -67,6 +67,7 @@ pub const fn config(transform: Transform, m: u8) -> Config {
         quantiser: Quantiser::DEFAULT,
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
+        readout: None,
     }
 }
 

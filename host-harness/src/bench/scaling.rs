@@ -167,6 +167,7 @@ fn run(
         quantiser: Quantiser::DEFAULT,
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
+        readout: None,
     };
     let limits = Limits {
         window_events: WINDOW_EVENTS,

@@ -203,6 +203,7 @@ impl Run {
             quantiser: Quantiser::DEFAULT,
             mode,
             key_windows: KEY_WINDOWS,
+            readout: None,
         };
         let mut reader = formats::open(&self.scene, None)?;
         let progress = Progress::new("events");

@@ -12,7 +12,7 @@ use eecvs_nostd::{
 
 use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json, rows};
-use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode};
+use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
 use crate::formats;
 use crate::output_file::{OutputFile, refuse_same_file};
 use crate::progress::Progress;
@@ -75,6 +75,11 @@ pub struct CodecOptions {
           value_parser = clap::value_parser!(u16).range(1..=256))]
     key_windows: u16,
 
+    /// hybrid, dense: for sensors that scan, such as DVXplorers, tell times by their scans; auto finds
+    /// out from the first events how
+    #[arg(long, value_enum, default_value = "auto")]
+    scans: ScanName,
+
     /// Transform of every window; auto takes the one of its density's regime
     #[arg(long, value_enum, default_value = "auto")]
     transform: TransformName,
@@ -134,6 +139,15 @@ enum CoderName {
     Fast,
     /// For size; frames go on from those before, up to the next key frame
     Dense,
+}
+
+/// Whether times are told by scans, on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ScanName {
+    /// Where they lie on a grid
+    Auto,
+    /// Never
+    Off,
 }
 
 /// A transform on the command line.
@@ -220,6 +234,7 @@ impl CodecOptions {
             quantiser: Quantiser::new(self.step_log2).context("the step is out of range")?,
             mode,
             key_windows: self.key_windows,
+            readout: None,
         })
     }
 }
@@ -241,9 +256,14 @@ impl Encode {
     /// # Errors
     /// A recording that cannot be read, an output that cannot be written.
     pub fn run(self) -> Result<()> {
-        let mut reader = formats::open(&self.input, self.size.sensor())?;
+        let reader = formats::open(&self.input, self.size.sensor())?;
+        let config = self.codec.config(reader.sensor())?;
+        let (mut reader, config) = match self.codec.scans {
+            ScanName::Auto => readout::look(reader, config),
+            ScanName::Off => (reader, config),
+        };
         let codec = Codec {
-            config: self.codec.config(reader.sensor())?,
+            config,
             kernel: self.kernel.kernel(),
         };
         refuse_same_file(&self.input, &self.output)?;

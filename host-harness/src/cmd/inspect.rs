@@ -40,6 +40,8 @@ struct Row {
     coder: Option<&'static str>,
     time_tolerance_us: Option<u32>,
     bins: Option<u16>,
+    /// Where times are told by scans.
+    scan_period_us: Option<f64>,
     /// Decodes by itself.
     key: bool,
     density_per_px_s: f64,
@@ -137,6 +139,9 @@ impl Row {
             coder,
             time_tolerance_us,
             bins,
+            scan_period_us: header
+                .scans
+                .map(|scans| f64::from(scans.readout().period_q16()) / 65_536.0),
             key: header.is_key,
             density_per_px_s: density.per_pixel_s(),
             regime: header.regime.name(),

@@ -3,6 +3,7 @@
 mod codec;
 mod cutter;
 mod parallel;
+pub mod readout;
 mod storage;
 
 use std::io::Write;

@@ -6,6 +6,7 @@
 pub mod aedat2;
 pub mod aedat4;
 mod aedat4_writer;
+pub mod ahead;
 mod decimal;
 pub mod evt2;
 pub mod evt3;

@@ -261,6 +261,7 @@ mod tests {
             quantiser: Quantiser::DEFAULT,
             mode: Mode::Transform,
             key_windows: KEY_WINDOWS,
+            readout: None,
         };
         let mut bytes = Vec::new();
         let mut scene = emulate(SCENE).unwrap();

@@ -6,10 +6,8 @@ use eecvs_nostd::coder::content::{Content, END, Node};
 use eecvs_nostd::coder::dense::{Dense, DenseMemory, PROBABILITIES, words};
 use eecvs_nostd::coder::fast::Fast;
 use eecvs_nostd::coder::range::{Probability, RangeDecoder};
-use eecvs_nostd::{
-    Cells, Coder, Config, Event, Frame, Header, Hybrid, Mode, Polarity, Push, Sensor,
-};
-use eecvs_nostd::{Thresholds, WindowConfig};
+use eecvs_nostd::{Coder, Config, Event, Frame, Header, Hybrid, Mode, Polarity, Push, Sensor};
+use eecvs_nostd::{Thresholds, Times, WindowConfig};
 
 use super::{DecodedWindow, Pixel, pixels};
 use crate::encode::HostStorage;
@@ -59,10 +57,10 @@ impl HybridDecoder {
     /// [`Refused`]; nothing of the frame is returned then.
     pub fn frame(&mut self, frame: &Frame<'_>, hybrid: Hybrid) -> Result<Vec<Event>, Refused> {
         let header = &frame.header;
-        let cells = Cells::new(hybrid.fidelity, header.duration_us);
+        let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
         match hybrid.coder {
-            Coder::Fast => fast(header, frame.payload, cells),
-            Coder::Dense => self.dense(header, frame.payload, cells),
+            Coder::Fast => fast(header, frame.payload, times),
+            Coder::Dense => self.dense(header, frame.payload, times),
         }
     }
 
@@ -70,7 +68,7 @@ impl HybridDecoder {
         &mut self,
         header: &Header,
         payload: &[u8],
-        cells: Cells,
+        times: Times,
     ) -> Result<Vec<Event>, Refused> {
         let chain = self.chain.take();
         let mut chain = if header.is_key {
@@ -101,7 +99,7 @@ impl HybridDecoder {
             left: header.events,
         };
         let mut reader = RangeDecoder::new(payload);
-        let coded = dense.code(&mut reader, &mut content, cells.count());
+        let coded = dense.code(&mut reader, &mut content, times);
         // An encoder that ran out of room has written more than what counts.
         let is_whole = coded.events == header.events && !reader.is_beyond();
         if !is_whole || (header.last && !reader.is_spent()) {
@@ -111,29 +109,28 @@ impl HybridDecoder {
         self.chain = Some(chain);
         let found = self.positions.iter().zip(&self.nodes);
         Ok(found
-            .map(|(position, node)| event(header, cells, *position, node.cell, node.on))
+            .map(|(position, node)| event(header, times, *position, node.cell, node.on))
             .collect())
     }
 }
 
-fn event(header: &Header, cells: Cells, (x, y): (u16, u16), cell: u32, on: bool) -> Event {
+fn event(header: &Header, times: Times, (x, y): (u16, u16), told: u32, on: bool) -> Event {
+    let offset_us = times.offset_us((x, y), told);
     Event {
-        t_us: header
-            .t0_us
-            .saturating_add(u64::from(cells.offset_us(cell))),
+        t_us: header.t0_us.saturating_add(u64::from(offset_us)),
         x,
         y,
         polarity: Polarity::from_bool(on),
     }
 }
 
-fn fast(header: &Header, payload: &[u8], cells: Cells) -> Result<Vec<Event>, Refused> {
-    let coder = Fast::new(header.sensor, header.window_events, cells.count());
+fn fast(header: &Header, payload: &[u8], times: Times) -> Result<Vec<Event>, Refused> {
+    let coder = Fast::new(header.sensor, header.window_events, times.count());
     let mut reader = BitReader::new(payload);
     // An event takes a bit at the least: so much and no more is believed before it is read.
     let believed = payload.len().saturating_mul(8).min(header.events as usize);
     let mut events = Vec::with_capacity(believed);
-    let each = |position, cell, on| events.push(event(header, cells, position, cell, on));
+    let each = |position, cell, on| events.push(event(header, times, position, cell, on));
     match coder.read(header.events, &mut reader, each) {
         Ok(_) if reader.is_spent() => Ok(events),
         _ => Err(Refused::Malformed),
@@ -225,6 +222,7 @@ impl DecodedWindow {
             quantiser: header.quantiser,
             mode: Mode::Transform,
             key_windows: 1,
+            readout: None,
         };
         let mut storage = HostStorage::new(header.sensor, self.events.len().max(1));
         let mut encoder = storage.encoder(config)?;

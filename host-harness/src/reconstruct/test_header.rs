@@ -11,6 +11,7 @@ pub fn header(duration_us: u32) -> Header {
         mode: Mode::Transform,
         is_key: true,
         has_previous: false,
+        scans: None,
         sequence: 0,
         part: 0,
         sensor: Sensor {

@@ -193,6 +193,7 @@ impl<'s> Point<'s> {
             quantiser: Quantiser::DEFAULT,
             mode: Mode::Transform,
             key_windows: KEY_WINDOWS,
+            readout: None,
         }
     }
 
