@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use eecvs_nostd::{
-    Config, Encoder, Event, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Sensor, Thresholds,
+    Config, Encoder, Event, Filter, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Sensor, Thresholds,
     Transform, WindowConfig,
 };
 use host_harness::encode::HostStorage;
@@ -123,6 +123,8 @@ fn frames(folder: &Path) -> anyhow::Result<()> {
             mode: Mode::Transform,
             key_windows: KEY_WINDOWS,
             readout: None,
+            filter: Filter::NONE,
+            bytes_per_second: None,
         };
         let mut storage = HostStorage::new(sensor, 100);
         let mut encoder = storage.encoder(config)?;

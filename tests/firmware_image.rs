@@ -7,10 +7,10 @@ use std::path::PathBuf;
 
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 
-const FLASH_BYTES_MAX: u64 = 128 << 10;
+const FLASH_BYTES_MAX: u64 = 144 << 10;
 const RAM_BYTES_MAX: u64 = 112 << 10;
 /// Of memory.x.
-const STACK_BYTES: u32 = 8 << 10;
+const STACK_BYTES: u32 = 10 << 10;
 /// What the processor pushes when an exception comes: 8 words, and one to align; without floating
 /// point there are no more.
 const EXCEPTION_BYTES: u32 = 9 * 4;

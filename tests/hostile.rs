@@ -33,6 +33,7 @@ fn header() -> Header {
         late: 0,
         filtered: 0,
         dropped: 0,
+        thinned: 0,
         saturated: 0,
         transform: Transform::Dwt,
         m: 8,

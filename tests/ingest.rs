@@ -9,8 +9,8 @@ use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
 use eecvs_nostd::{
-    Config, Encoder, Event, Frame, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Scratch, Sensor,
-    Thresholds, Window, WindowBuffers, WindowConfig, WindowEncoder,
+    Config, Encoder, Event, Filter, Frame, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Scratch,
+    Sensor, Thresholds, Window, WindowBuffers, WindowConfig, WindowEncoder,
 };
 use proptest::prelude::*;
 
@@ -36,6 +36,8 @@ fn config() -> Config {
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     }
 }
 
@@ -60,7 +62,7 @@ fn packets(events: &[Event], body_bytes: usize, when_full: u8) -> Vec<Vec<u8>> {
         packets.push(out[..len].to_vec());
     };
     let base_us = events.first().map_or(0, |event| event.t_us);
-    let mut body = [0; 64];
+    let mut body = [0; 96];
     let len = setup(when_full, base_us).write(&mut body).unwrap();
     put(Kind::Setup, 0, &body[..len]);
     let mut words = Evt2Encoder::new(base_us);
@@ -144,6 +146,7 @@ impl Machine {
                     totals: leak(WideSum::ZERO, 64),
                     magnitudes: leak(0, 64),
                     dense: None,
+                    hot: &[],
                 };
                 self.encoder = Some(WindowEncoder::new(config, scratch).unwrap());
                 let buffers =
@@ -209,6 +212,7 @@ fn expected(events: &[Event]) -> Vec<u8> {
         totals: &mut totals,
         magnitudes: &mut magnitudes,
         dense: None,
+        hot: &[],
     };
     let mut encoder = Encoder::set_up(config(), buffers, scratch).unwrap();
     let mut frames = Vec::new();

@@ -5,8 +5,8 @@ use std::mem::size_of;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::{Slot, WindowEncoder, bitmap_words, segments};
 
-const RAM_BYTES: usize = 128 << 10;
-const STACK_BYTES: usize = 8 << 10;
+const RAM_BYTES: usize = 1210 << 10;
+const STACK_BYTES: usize = 10 << 10;
 /// Of firmware/src/encoding.rs.
 const WINDOW_WORDS: usize = 22 * 1024;
 const NUMBERS: usize = 256;

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Hybrid, KEY_WINDOWS, Mode, Polarity, Quantiser, Thresholds,
-    WindowConfig,
+    Coder, Config, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Polarity, Quantiser,
+    Thresholds, WindowConfig,
 };
 use host_harness::decode::WindowReader;
 use host_harness::encode::{Limits, all_cores, encode, readout};
@@ -105,6 +105,8 @@ fn frames(path: &Path, hybrid: Hybrid) -> (Vec<u8>, f64) {
         mode: Mode::Hybrid(hybrid),
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     };
     let (mut reader, config) = readout::look(reader, config);
     let mut bytes = Vec::new();

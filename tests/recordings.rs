@@ -7,7 +7,9 @@ use std::collections::BTreeMap;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
-use eecvs_nostd::{Config, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform, WindowConfig};
+use eecvs_nostd::{
+    Config, Filter, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform, WindowConfig,
+};
 use host_harness::calibrate::Calibration;
 use host_harness::decode::WindowReader;
 use host_harness::encode::{Limits, all_cores, encode};
@@ -45,6 +47,8 @@ fn frames(path: &Path, transform: Option<Transform>, m: u8, thresholds: Threshol
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     };
     let mut bytes = Vec::new();
     let summary = encode(

@@ -3,8 +3,8 @@
 pub mod one_pixel;
 
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Frame, Hybrid, KEY_WINDOWS, Mode, Polarity, Push, Quantiser,
-    Scan, Sensor, Thresholds, Transform, WindowConfig, scan,
+    Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, KEY_WINDOWS, Mode, Polarity, Push,
+    Quantiser, Scan, Sensor, Thresholds, Transform, WindowConfig, scan,
 };
 use host_harness::encode::HostStorage;
 use proptest::prelude::*;
@@ -79,6 +79,8 @@ pub fn config(sensor: Sensor) -> impl Strategy<Value = Config> {
                 mode: Mode::Transform,
                 key_windows: KEY_WINDOWS,
                 readout: None,
+                filter: Filter::NONE,
+                bytes_per_second: None,
             },
         )
 }
@@ -115,6 +117,8 @@ pub fn plain_config(sensor: Sensor, transform: Transform, m: u8) -> Config {
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     }
 }
 

@@ -1,14 +1,16 @@
 //! The stages composed: events in, frames out.
 
+use core::num::NonZeroU32;
 use core::ops::Range;
 
 use crate::bits::BitWriter;
 use crate::coder::chain::Chain;
-use crate::coder::dense::{Dense, DenseMemory};
+use crate::coder::dense::{Dense, DenseMemory, EVENT_BYTES_MAX};
 use crate::coder::{Coder, Fidelity, Hybrid, Readout, Scans, Times};
 use crate::density::Density;
 use crate::event::Event;
 use crate::event_encoder::EventEncoder;
+use crate::filter::Filter;
 use crate::fixed_point::{Sum, WideSum};
 use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, seal};
 use crate::group::Group;
@@ -18,6 +20,7 @@ use crate::phase::PhaseScale;
 use crate::pixel_encoder::{PixelEncoder, is_few, is_lanes};
 use crate::prune::Kept;
 use crate::quantise::Quantiser;
+use crate::rate::{Rate, WINDOW_BYTES_MIN};
 use crate::regime::Thresholds;
 use crate::trace::{Stage, Trace};
 use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, M_MAX, Transform};
@@ -53,6 +56,10 @@ pub struct Config {
     /// How the sensor scans: a window whose times lie on such scans is told by them, by the dense
     /// coder where it is lossless.
     pub readout: Option<Readout>,
+    /// What is kept out of every window, beside [`Scratch::hot`].
+    pub filter: Filter,
+    /// Bytes that the frames of any second take at the most, of a hybrid mode: see [`crate::rate`].
+    pub bytes_per_second: Option<NonZeroU32>,
 }
 
 /// Why a configuration cannot run.
@@ -69,6 +76,8 @@ pub enum ConfigError {
     Dense,
     /// A volume of no bins.
     Bins,
+    /// A budget for coefficients, or of fewer than some 146 bytes a window.
+    Rate,
 }
 
 /// Why an encoder cannot be set up.
@@ -92,6 +101,17 @@ impl Config {
             && (grid == 0 || grid as usize > GRID_MAX)
         {
             return Err(ConfigError::Grid);
+        }
+        if let Some(budget) = self.bytes_per_second {
+            let window_us = match NonZeroU32::new(self.window.window_us) {
+                Some(window_us) => window_us,
+                None => NonZeroU32::MIN,
+            };
+            let windows = 1_000_000_u32.div_ceil(window_us.get());
+            let least = windows as u64 * WINDOW_BYTES_MIN as u64 * 8 / 7;
+            if matches!(self.mode, Mode::Transform) || (budget.get() as u64) < least {
+                return Err(ConfigError::Rate);
+            }
         }
         match self.mode {
             Mode::Transform if scratch.numbers() < 2 * self.grid_max() => Err(ConfigError::Scratch),
@@ -141,6 +161,9 @@ pub struct Scratch<'b> {
     pub magnitudes: &'b mut [u32],
     /// What the dense coder of hybrid frames remembers; needed for it alone.
     pub dense: Option<DenseMemory<'b>>,
+    /// Pixels that are never sent: a word per segment of 32 columns, in raster order, bit i its column i.
+    /// May be empty, or shorter than the sensor.
+    pub hot: &'b [u32],
 }
 
 impl Scratch<'_> {
@@ -166,6 +189,17 @@ const fn is_dense(mode: Mode) -> bool {
         })
     )
 }
+
+/// The rate control of a configuration, at its start.
+const fn rate(config: &Config) -> Option<Rate> {
+    match config.bytes_per_second {
+        Some(budget) => Some(Rate::new(budget, config.window.window_us)),
+        None => None,
+    }
+}
+
+/// A budget that has less left sends no event: the longest header, an event, and what is told before it.
+const FRAME_BYTES_LEAST: usize = HEADER_BYTES_MAX + CRC_BYTES + EVENT_BYTES_MAX + 24;
 
 /// The window being encoded.
 #[derive(Debug, Clone, Copy)]
@@ -201,6 +235,7 @@ pub struct WindowEncoder<'b> {
     chain: Chain,
     /// Whatever the chain says, the next frame begins anew.
     breaks: bool,
+    rate: Option<Rate>,
 }
 
 impl<'b> WindowEncoder<'b> {
@@ -221,6 +256,7 @@ impl<'b> WindowEncoder<'b> {
             sequence: 0,
             chain: Chain::START,
             breaks: false,
+            rate: rate(&config),
         })
     }
 
@@ -234,6 +270,7 @@ impl<'b> WindowEncoder<'b> {
         self.config = config;
         self.task = None;
         self.sequence = 0;
+        self.rate = rate(&config);
         self.restart();
         Ok(())
     }
@@ -323,7 +360,14 @@ impl<'b> WindowEncoder<'b> {
         header.filtered = counts.filtered;
         header.dropped = counts.dropped;
 
-        let end = out.len().min(FRAME_BYTES_MAX) - CRC_BYTES;
+        let mut end = out.len().min(FRAME_BYTES_MAX) - CRC_BYTES;
+        let mut is_spent = false;
+        if let Some(rate) = &self.rate {
+            is_spent = rate.room() < FRAME_BYTES_LEAST;
+            // The header lies where it is longest: what it does not take the payload may.
+            let most = HEADER_BYTES_MAX + rate.room().saturating_sub(HEADER_BYTES_MAX + CRC_BYTES);
+            end = end.min(most);
+        }
         let payload = &mut out[HEADER_BYTES_MAX..end];
         let payload_bytes = match header.mode {
             Mode::Transform => {
@@ -342,24 +386,44 @@ impl<'b> WindowEncoder<'b> {
                 };
                 writer.finish()
             }
+            Mode::Hybrid(hybrid) if is_spent => {
+                // What was estimated was too low, or there was no room for a single event.
+                header.events = 0;
+                header.last = true;
+                header.thinned = header.thinned.saturating_add(task.left);
+                while self.group.next(window).is_some() {}
+                // Nothing is learned from it, and nothing goes on from it.
+                let coder = Coder::Fast;
+                header.mode = Mode::Hybrid(Hybrid { coder, ..hybrid });
+                header.scans = None;
+                header.is_key = true;
+                self.breaks = true;
+                0
+            }
             Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, &mut task, payload, trace),
         };
         let header = &mut task.header;
         trace.enter(Stage::Frame);
         let range = seal(header, payload_bytes, out)?;
+        if let Some(rate) = &mut self.rate {
+            rate.spend(range.len(), header.events);
+        }
         self.sequence = self.sequence.wrapping_add(1);
         let encoded = Encoded {
             header: *header,
             range,
         };
         header.part += 1;
+        header.thinned = 0;
         header.is_key &= !is_dense(header.mode);
         self.task = Some(task);
         Ok(Some(encoded))
     }
 
-    fn begin(&mut self, closed: Closed, window: &Window<'_>) -> Task {
+    fn begin(&mut self, closed: Closed, window: &mut Window<'_>) -> Task {
         let WindowConfig { sensor, .. } = window.config();
+        let filtered = self.config.filter.apply(self.scratch.hot, window);
+        window.count_filtered(filtered);
         let density = Density {
             events: window.events(),
             pixels: sensor.pixels(),
@@ -370,12 +434,19 @@ impl<'b> WindowEncoder<'b> {
         self.group.restart();
         let memory = &self.scratch.dense;
         let is_dense_here = memory.as_ref().is_some_and(|memory| memory.serves(sensor));
+        let mut mode = self.config.mode;
+        let mut thinned = 0;
+        if let (Some(rate), Mode::Hybrid(hybrid)) = (&mut self.rate, &mut mode) {
+            let plan = rate.plan(hybrid.fidelity, closed, window);
+            hybrid.fidelity = plan.fidelity;
+            thinned = plan.thinned;
+        }
         let scans = self
             .config
             .readout
-            .filter(|readout| is_dense_here && readout.serves(self.config.mode));
+            .filter(|readout| is_dense_here && readout.serves(mode));
         let scans = scans.and_then(|readout| Scans::fit(readout, window));
-        let mode = match (self.config.mode, scans) {
+        let mode = match (mode, scans) {
             // Exact times then cost less than those within a tolerance.
             (Mode::Hybrid(hybrid), Some(_)) => Mode::Hybrid(Hybrid {
                 fidelity: Fidelity::Lossless,
@@ -404,6 +475,7 @@ impl<'b> WindowEncoder<'b> {
                 late: 0,
                 filtered: 0,
                 dropped: 0,
+                thinned,
                 saturated: 0,
                 transform,
                 m: self.config.m,
@@ -535,6 +607,8 @@ impl<'b> WindowEncoder<'b> {
 ///     mode: Mode::Hybrid(Hybrid::default()),
 ///     key_windows: KEY_WINDOWS,
 ///     readout: None,
+///     filter: Filter::NONE,
+///     bytes_per_second: None,
 /// };
 /// let mut encoder = storage.encoder(config).unwrap();
 /// let mut out = [0; 2048];

@@ -4,12 +4,15 @@
 //! docs/wire-format.md, "Event link", has the layout. Every packet says how many events were sent
 //! before it, so the receiver knows exactly how many a lost packet held.
 
+use core::num::NonZeroU32;
+
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use crate::checksum::CRC_16;
 use crate::encoder::Config;
 use crate::event::Sensor;
+use crate::filter::{Filter, Region};
 use crate::frame::Mode;
 use crate::link::next_sync;
 use crate::quantise::Quantiser;
@@ -134,6 +137,12 @@ pub struct Setup {
     pub fidelity: u32,
     /// Windows after which a frame of the dense coder begins anew.
     pub key_windows: u16,
+    /// First column, first row, columns and rows of the region that is sent; no columns for all.
+    pub region: [u16; 4],
+    /// 1 where events that are alone are not sent.
+    pub isolated: u8,
+    /// Bytes that the frames of any second take at the most; 0 for any.
+    pub bytes_per_second: u32,
     /// Time that the words' 0 stands for, in microseconds.
     pub time_base_us: u64,
     /// What to do with events while no window is free: 0 wait, so that the link's flow control
@@ -167,6 +176,11 @@ impl Setup {
             mode,
             fidelity: fidelity.unwrap_or(0),
             key_windows: config.key_windows,
+            region: config.filter.region.map_or([0; 4], |region| {
+                [region.x, region.y, region.width, region.height]
+            }),
+            isolated: config.filter.isolated.into(),
+            bytes_per_second: config.bytes_per_second.map_or(0, NonZeroU32::get),
             time_base_us,
             when_full: Self::WAIT,
         }
@@ -175,7 +189,7 @@ impl Setup {
     /// Writes it as a packet's body to the start of `out` and returns its length.
     ///
     /// # Errors
-    /// [`TooLong`]: `out` is too short; 64 bytes are enough.
+    /// [`TooLong`]: `out` is too short; 96 bytes are enough.
     pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
         write_body(self, out)
     }
@@ -190,9 +204,16 @@ impl Setup {
     /// encoder's own check.
     #[must_use]
     pub fn config(&self) -> Option<Config> {
-        if self.when_full > Self::DROP {
+        if self.when_full > Self::DROP || self.isolated > 1 {
             return None;
         }
+        let [x, y, width, height] = self.region;
+        let region = Region {
+            x,
+            y,
+            width,
+            height,
+        };
         Some(Config {
             window: WindowConfig {
                 sensor: Sensor::new(self.width, self.height)?,
@@ -209,6 +230,11 @@ impl Setup {
             mode: Mode::from_code(self.mode, self.fidelity)?,
             key_windows: self.key_windows,
             readout: None,
+            filter: Filter {
+                region: (width > 0).then_some(region),
+                isolated: self.isolated == 1,
+            },
+            bytes_per_second: NonZeroU32::new(self.bytes_per_second),
         })
     }
 }
@@ -505,10 +531,13 @@ mod tests {
             mode: 0,
             fidelity: 0,
             key_windows: 64,
+            region: [3, 4, 100, 2],
+            isolated: 1,
+            bytes_per_second: u32::MAX,
             time_base_us: u64::MAX,
             when_full: Setup::WAIT,
         };
-        let mut out = [0; 64];
+        let mut out = [0; 96];
         let len = setup.write(&mut out).unwrap();
         assert_eq!(Setup::parse(&out[..len]), Some(setup));
         assert_eq!(Setup::parse(&out[..=len]), None);
@@ -535,6 +564,10 @@ mod tests {
             },
             Setup {
                 when_full: 2,
+                ..setup
+            },
+            Setup {
+                isolated: 2,
                 ..setup
             },
         ] {

@@ -24,14 +24,14 @@ pub const VERSION: u8 = 2;
 /// Largest frame, sync to CRC-32.
 pub const FRAME_BYTES_MAX: usize = 1 << 24;
 /// Largest header, sync to CRC-16.
-pub const HEADER_BYTES_MAX: usize = 104;
+pub const HEADER_BYTES_MAX: usize = 112;
 /// Bytes of the CRC-32 that ends a frame.
 pub const CRC_BYTES: usize = 4;
 
 /// Sync, version and header length.
 const PREFIX_BYTES: usize = 4;
 /// Every field of the header at its longest.
-const FIELDS_BYTES_MAX: usize = 94;
+const FIELDS_BYTES_MAX: usize = 99;
 const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
 
 /// What a payload holds.
@@ -85,6 +85,8 @@ pub struct Header {
     pub filtered: u32,
     /// Events lost, since the previous frame.
     pub dropped: u32,
+    /// Events of this window that the rate control left out.
+    pub thinned: u32,
     /// Levels of this frame that did not fit 32 bits and were cut to the largest.
     pub saturated: u32,
     /// Transform of the window; of a hybrid one, that of the volume made of it, as M, K and the
@@ -126,6 +128,7 @@ struct CountsWire {
     late: u32,
     filtered: u32,
     dropped: u32,
+    thinned: u32,
     saturated: u32,
 }
 
@@ -169,7 +172,29 @@ const PREVIOUS: u8 = 1 << 5;
 const COLUMNS: u8 = 1 << 6;
 const ROWS: u8 = 1 << 7;
 
+impl CountsWire {
+    const NONE: Self = Self {
+        late: 0,
+        filtered: 0,
+        dropped: 0,
+        thinned: 0,
+        saturated: 0,
+    };
+}
+
 impl Mode {
+    /// Whether every event's time is told exactly.
+    #[must_use]
+    pub const fn is_lossless(self) -> bool {
+        matches!(
+            self,
+            Self::Hybrid(Hybrid {
+                fidelity: Fidelity::Lossless,
+                ..
+            })
+        )
+    }
+
     /// Its code on a link, and the value that goes with it where there is one.
     pub(crate) const fn code(self) -> (u8, Option<u32>) {
         let Self::Hybrid(Hybrid { coder, fidelity }) = self else {
@@ -283,9 +308,10 @@ impl Header {
             late: self.late,
             filtered: self.filtered,
             dropped: self.dropped,
+            thinned: self.thinned,
             saturated: self.saturated,
         };
-        let has_counts = self.late | self.filtered | self.dropped | self.saturated != 0;
+        let has_counts = counts != CountsWire::NONE;
         let shape = ShapeWire {
             transform: self.transform as u8,
             m: self.m,
@@ -387,16 +413,10 @@ impl Header {
             return None;
         }
         let pixels = if is_transform { take(rest)? } else { 0 };
-        let none = CountsWire {
-            late: 0,
-            filtered: 0,
-            dropped: 0,
-            saturated: 0,
-        };
-        let mut counts = none;
+        let mut counts = CountsWire::NONE;
         if has(COUNTS) {
             counts = take(rest)?;
-            if counts.late | counts.filtered | counts.dropped | counts.saturated == 0 {
+            if counts == CountsWire::NONE {
                 return None;
             }
         }
@@ -466,6 +486,7 @@ impl Header {
             late: counts.late,
             filtered: counts.filtered,
             dropped: counts.dropped,
+            thinned: counts.thinned,
             saturated: counts.saturated,
             transform,
             m: shape.m,
@@ -676,6 +697,7 @@ mod tests {
             late: u32::MAX,
             filtered: u32::MAX,
             dropped: u32::MAX,
+            thinned: u32::MAX,
             saturated: u32::MAX,
             transform: Transform::Dwt,
             m: u8::MAX,

@@ -27,6 +27,7 @@ pub mod event_link;
 pub mod evt2;
 #[cfg(eecvs_dsp)]
 mod few_dsp;
+pub mod filter;
 pub mod fixed_point;
 pub mod frame;
 pub mod group;
@@ -45,6 +46,7 @@ pub mod prune;
 #[cfg(eecvs_dsp)]
 mod prune_dsp;
 pub mod quantise;
+mod rate;
 pub mod regime;
 pub mod sensor_source;
 mod sort;
@@ -64,6 +66,7 @@ pub use encoder::{
     Config, ConfigError, Encoded, Encoder, OUTPUT_BYTES_MIN, Scratch, SetupError, WindowEncoder,
 };
 pub use event::{Event, Polarity, Sensor};
+pub use filter::{Filter, Region};
 pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom};
 pub use kernel::Kernel;
 pub use link::{Order, Scan, Sequence, scan};

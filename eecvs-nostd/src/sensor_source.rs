@@ -110,8 +110,8 @@ mod tests {
             let (producer, consumer) = queue.split();
             let setup = Setup {
                 width: 1, height: 1, window_us: 1, tau_low_pico: 0, tau_high_pico: 0, transform: 0,
-                m: 1, grid: 0, step_log2: 0, mode: 0, fidelity: 0, key_windows: 1, time_base_us: 0,
-                when_full: Setup::DROP,
+                m: 1, grid: 0, step_log2: 0, mode: 0, fidelity: 0, key_windows: 1, region: [0; 4],
+                isolated: 0, bytes_per_second: 0, time_base_us: 0, when_full: Setup::DROP,
             };
             let mut port = Port::new(producer);
             let mut source = SensorSource::new(consumer, setup);

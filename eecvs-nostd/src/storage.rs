@@ -70,6 +70,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
             dense,
+            hot: &[],
         };
         Encoder::set_up(config, buffers, scratch)
     }
@@ -87,6 +88,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
 mod tests {
     use super::*;
     use crate::encoder::{ConfigError, WindowEncoder};
+    use crate::filter::Filter;
     use crate::window::Window;
     use crate::{
         KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, WindowConfig, bitmap_words, segments,
@@ -114,6 +116,8 @@ mod tests {
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     };
 
     /// Anything but zeros would move the buffers from .bss to .data, into flash.
@@ -150,6 +154,7 @@ mod tests {
             totals: &mut totals,
             magnitudes: &mut magnitudes,
             dense: None,
+            hot: &[],
         };
         match (
             Window::new(CONFIG.window, buffers),

@@ -628,6 +628,95 @@ impl<'b> Window<'b> {
         }
     }
 
+    /// The first segment from one on that has events.
+    pub(crate) fn next_used(&self, from: u32) -> Option<u32> {
+        let at = from as usize / 32;
+        let first = self.bitmap.get(at)? & (u32::MAX >> (from % 32));
+        if first != 0 {
+            return Some(at as u32 * 32 + first.leading_zeros());
+        }
+        let rest = self.bitmap.get(at + 1..)?;
+        let next = first_used(rest)?;
+        let word = rest.get(next)?;
+        Some((at + 1 + next) as u32 * 32 + word.leading_zeros())
+    }
+
+    /// Which columns of a segment have events, and which have several.
+    pub(crate) fn columns_of(&self, segment: u32) -> (u32, u32) {
+        let (mut occupied, mut crowded) = (0, 0);
+        let bits = self.bitmap.get(segment as usize / 32).copied();
+        // Of a segment without events the list may be an old one.
+        let mut at = match bits {
+            Some(bits) if bits & FIRST.rotate_right(segment) != 0 => self.head_of(segment),
+            _ => NO_SLOT,
+        };
+        while let Some(slot) = self.slots.get(at as usize) {
+            let column = 1 << slot.column();
+            crowded |= occupied & column;
+            occupied |= column;
+            at = slot.next();
+        }
+        (occupied, crowded)
+    }
+
+    fn head_of(&self, segment: u32) -> u32 {
+        let head = self.heads.get(segment as usize).copied();
+        head.map_or(NO_SLOT, index)
+    }
+
+    /// Leaves of a used segment the events of these columns; returns how many went.
+    pub(crate) fn keep_columns(&mut self, segment: u32, columns: u32) -> u32 {
+        self.keep(segment, |_, slot| columns >> slot.column() & 1 == 1)
+    }
+
+    /// Leaves `share_q16` of 2^16 events, evenly by when they came; returns how many went.
+    pub(crate) fn thin(&mut self, share_q16: u32) -> u32 {
+        let (mut removed, mut from) = (0, 0);
+        while let Some(segment) = self.next_used(from) {
+            removed += self.keep(segment, |at, _| {
+                // Those at which a sum of shares passes a whole number.
+                at.wrapping_mul(share_q16) % (1 << 16) < share_q16
+            });
+            from = segment + 1;
+        }
+        removed
+    }
+
+    /// Leaves of a used segment what is to be kept, of a closed window.
+    fn keep(&mut self, segment: u32, is_kept: impl Fn(u32, Slot) -> bool) -> u32 {
+        let mut removed = 0;
+        let mut at = self.head_of(segment);
+        // The last one kept.
+        let mut last: Option<u32> = None;
+        let mut head = NO_HEAD;
+        while let Some(slot) = self.slots.get(at as usize).copied() {
+            let next = slot.next();
+            if is_kept(at, slot) {
+                match last.and_then(|last| self.slots.get_mut(last as usize)) {
+                    Some(before) => *before = before.with_next(at),
+                    None => head = at as Head,
+                }
+                last = Some(at);
+            } else {
+                removed += 1;
+            }
+            at = next;
+        }
+        if let Some(last) = last.and_then(|last| self.slots.get_mut(last as usize)) {
+            *last = last.with_next(NO_SLOT);
+        }
+        if let Some(place) = self.heads.get_mut(segment as usize) {
+            *place = head;
+        }
+        if last.is_none()
+            && let Some(bits) = self.bitmap.get_mut(segment as usize / 32)
+        {
+            *bits &= !FIRST.rotate_right(segment);
+        }
+        self.len -= removed;
+        removed
+    }
+
     /// The buffered events.
     #[inline]
     pub(crate) const fn slots(&mut self) -> &mut [Slot] {

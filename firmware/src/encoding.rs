@@ -4,7 +4,7 @@ use eecvs_nostd::event_link::{Kind, Packet, Setup, Status};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Work};
 use eecvs_nostd::{
-    Config, KEY_WINDOWS, Mode, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers,
+    Config, Filter, KEY_WINDOWS, Mode, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers,
     WindowConfig, WindowEncoder,
 };
 
@@ -41,6 +41,8 @@ const IDLE: Config = Config {
     mode: Mode::Transform,
     key_windows: KEY_WINDOWS,
     readout: None,
+    filter: Filter::NONE,
+    bytes_per_second: None,
 };
 
 /// Ticks, summed up beyond 32 bits.
@@ -88,6 +90,7 @@ impl Encoding {
             totals: TOTALS.try_take()?,
             magnitudes: MAGNITUDES.try_take()?,
             dense: None,
+            hot: &[],
         };
         Some(Self {
             sender,

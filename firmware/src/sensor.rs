@@ -49,6 +49,9 @@ pub const SETUP: Setup = Setup {
     mode: 1,
     fidelity: 0,
     key_windows: 1,
+    region: [0; 4],
+    isolated: 0,
+    bytes_per_second: 0,
     time_base_us: 0,
     when_full: Setup::DROP,
 };

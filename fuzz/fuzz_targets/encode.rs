@@ -2,9 +2,11 @@
 //! unpacks.
 #![no_main]
 
+use std::num::NonZeroU32;
+
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Push, Quantiser, Sensor,
-    Thresholds, Transform, WindowConfig,
+    Axis, Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, Mode, Polarity, Push, Quantiser,
+    Readout, Region, Sensor, Thresholds, Transform, WindowConfig,
 };
 use host_harness::encode::HostStorage;
 use host_harness::reconstruct::hybrid::HybridDecoder;
@@ -34,6 +36,8 @@ fuzz_target!(|data: &[u8]| {
         capacity,
         mode,
         fidelity,
+        control,
+        key,
         words @ ..,
     ] = data
     else {
@@ -43,18 +47,32 @@ fuzz_target!(|data: &[u8]| {
         width: 70,
         height: 5,
     };
+    let window_us = 1 << (*window % 32);
+    let mode = to_mode(*mode, *fidelity);
+    let key_windows = 1 + u16::from(*key >> 4);
+    // The least that is taken, and up to 60 kB more.
+    let budget = 1_000_000_u32.div_ceil(window_us) * 147 + 1000 * (u32::from(*control) >> 2);
     let config = Config {
-        window: WindowConfig {
-            sensor,
-            window_us: 1 << (*window % 32),
-        },
+        window: WindowConfig { sensor, window_us },
         thresholds: Thresholds::new(1 << 40, 1 << 43).expect("in order"),
         transform: Transform::from_code(*transform % 4),
         m: 1 + *m % 64,
         grid: (*grid > 0).then_some(u16::from(*grid)),
         quantiser: Quantiser::new((*step % 24) as i8 - 15).expect("-15 to 8"),
-        mode: to_mode(*mode, *fidelity),
-        key_windows: 1 + u16::from(*mode >> 4),
+        mode,
+        key_windows,
+        readout: Readout::new(Axis::Columns, 20 << 16, i32::from(*control) << 10),
+        filter: Filter {
+            region: (*key & 1 == 1).then_some(Region {
+                x: 3,
+                y: 1,
+                width: 50,
+                height: 4,
+            }),
+            isolated: *control & 1 == 1,
+        },
+        bytes_per_second: NonZeroU32::new(budget)
+            .filter(|_| *control & 2 == 2 && mode != Mode::Transform),
     };
     let mut storage = HostStorage::new(sensor, 1 + usize::from(*capacity));
     let mut encoder = storage.encoder(config).expect("a valid configuration");
@@ -76,7 +94,7 @@ fuzz_target!(|data: &[u8]| {
                 }
             };
             assert_eq!(events, header.events);
-            accounted += events + header.late + header.filtered + header.dropped;
+            accounted += events + header.late + header.filtered + header.dropped + header.thinned;
         }
     };
     let mut t_us = 1_u64 << 33;

@@ -9,7 +9,7 @@ use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
 use eecvs_nostd::{
-    Config, Frame, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser, Scratch, Sensor, Thresholds,
+    Config, Filter, Frame, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser, Scratch, Sensor, Thresholds,
     Window, WindowBuffers, WindowConfig, WindowEncoder,
 };
 use libfuzzer_sys::fuzz_target;
@@ -109,6 +109,7 @@ fuzz_target!(|data: &[u8]| {
         totals: &mut totals,
         magnitudes: &mut magnitudes,
         dense: None,
+        hot: &[],
     };
     let config = Config {
         window: CONFIG,
@@ -119,6 +120,9 @@ fuzz_target!(|data: &[u8]| {
         quantiser: Quantiser::DEFAULT,
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
+        readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     };
     let mut machine = Machine {
         link: Link::new(),
@@ -139,7 +143,7 @@ fuzz_target!(|data: &[u8]| {
             2..5 => Kind::Words,
             _ => Kind::Status,
         };
-        let mut setup = [0; 64];
+        let mut setup = [0; 96];
         let body = if kind == Kind::Setup {
             let len = Setup {
                 width: 70,
@@ -154,11 +158,14 @@ fuzz_target!(|data: &[u8]| {
                 mode: 0,
                 fidelity: 0,
                 key_windows: 1,
+                region: [0, 0, u16::from(operation / 16), 5],
+                isolated: operation / 16 % 2,
+                bytes_per_second: 0,
                 time_base_us: 0,
                 when_full: operation / 8 % 2,
             }
             .write(&mut setup)
-            .expect("64 bytes are enough");
+            .expect("96 bytes are enough");
             &setup[..len]
         } else {
             &body[..len.min(BODY_BYTES_MAX)]

@@ -25,7 +25,7 @@ pub struct WindowReader<R> {
     busy: Duration,
 }
 
-/// What the frames say of events that are in no window.
+/// What the frames say of the events.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
     /// Too old for their window.
@@ -34,6 +34,12 @@ pub struct FrameCounts {
     pub events_filtered: u64,
     /// Lost before or in the encoder.
     pub events_dropped: u64,
+    /// Left out so that the frames fit their budget.
+    pub events_thinned: u64,
+    /// In frames, at their exact times.
+    pub events_exact: u64,
+    /// In frames, at times within a tolerance or a bin, or in coefficients.
+    pub events_approximate: u64,
 }
 
 impl<R: Read> WindowReader<R> {
@@ -43,11 +49,7 @@ impl<R: Read> WindowReader<R> {
             frames,
             pending: None,
             pending_events: 0,
-            counts: FrameCounts {
-                events_late: 0,
-                events_filtered: 0,
-                events_dropped: 0,
-            },
+            counts: FrameCounts::default(),
             hybrid: HybridDecoder::default(),
             busy: Duration::ZERO,
         }
@@ -95,6 +97,12 @@ impl<R: Read> WindowReader<R> {
             self.counts.events_late += u64::from(header.late);
             self.counts.events_filtered += u64::from(header.filtered);
             self.counts.events_dropped += u64::from(header.dropped);
+            self.counts.events_thinned += u64::from(header.thinned);
+            if header.mode.is_lossless() {
+                self.counts.events_exact += u64::from(header.events);
+            } else {
+                self.counts.events_approximate += u64::from(header.events);
+            }
             match &mut self.pending {
                 // Frames without end that call themselves parts of one window do not grow it.
                 Some(window)

@@ -10,6 +10,7 @@ pub mod encode;
 pub mod exact_density;
 pub mod formats;
 pub mod frame_file;
+pub mod hot_pixels;
 pub mod mcu;
 pub mod metrics;
 pub mod npy;

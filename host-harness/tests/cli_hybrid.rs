@@ -124,6 +124,9 @@ fn what_does_not_go_together_is_refused() {
         "--coder best",
         "--key-windows 0",
         "--time-tolerance-us -1",
+        "--region 1,2,3",
+        "--region 1,2,0,3",
+        "--bytes-per-second 0",
     ] {
         let outcome = folder.eecvs(&format!("encode scene.raw -o a.eecvs {flags}"));
         assert_eq!(outcome.status, Some(2), "{outcome}");
@@ -131,4 +134,65 @@ fn what_does_not_go_together_is_refused() {
     folder
         .eecvs("encode scene.raw -o a.eecvs --mode transform --bins 8")
         .fails(&["--bins", "--mode hybrid"]);
+    folder
+        .eecvs("encode scene.raw -o a.eecvs --bytes-per-second 100")
+        .fails(&["budget", "146 bytes a window"]);
+    folder.write("hot.txt", "1;2");
+    folder
+        .eecvs("encode scene.raw -o a.eecvs --hot-pixels hot.txt")
+        .fails(&["hot.txt: line 1", "x,y"]);
+}
+
+/// What is filtered, left out or approximate is told on both sides.
+#[test]
+fn filters_and_budgets_are_accounted_for() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    let (_, events) = folder.events("scene.raw");
+    let encoded = |flags: &str| {
+        let encode = format!("encode scene.raw -o a.eecvs --json {flags}");
+        let summary = folder.eecvs(&encode).ok().object();
+        let decoded = folder.eecvs("decode a.eecvs -o b.raw --json").ok().object();
+        for key in ["events_filtered", "events_thinned", "events_approximate"] {
+            assert_eq!(count(&summary, key), count(&decoded, key), "{flags} {key}");
+        }
+        assert_eq!(count(&summary, "events_encoded"), count(&decoded, "events"));
+        let (_, left) = folder.events("b.raw");
+        (summary, left)
+    };
+    let (summary, left) = encoded("--region 3,2,10,9");
+    let inside = |x: u16, y: u16| (3..13).contains(&x) && (2..11).contains(&y);
+    let kept = events
+        .iter()
+        .filter(|event| inside(event.x, event.y))
+        .count();
+    assert_eq!(left.len(), kept);
+    assert!(left.iter().all(|event| inside(event.x, event.y)));
+    assert_eq!(
+        count(&summary, "events_filtered") as usize,
+        events.len() - kept
+    );
+
+    let hot = events[0];
+    folder.write("hot.txt", format!("{},{}\n", hot.x, hot.y));
+    let (_, left) = encoded("--hot-pixels hot.txt");
+    assert!(
+        left.iter()
+            .all(|event| (event.x, event.y) != (hot.x, hot.y))
+    );
+    let at_hot = events
+        .iter()
+        .filter(|event| (event.x, event.y) == (hot.x, hot.y));
+    assert_eq!(left.len(), events.len() - at_hot.count());
+
+    let (summary, left) = encoded("--isolated");
+    assert!(count(&summary, "events_filtered") > 0 && left.len() * 2 > events.len());
+
+    let seconds = (events[events.len() - 1].t_us - events[0].t_us) as f64 / 1e6;
+    for coder in ["fast", "dense"] {
+        let budget = (events.len() as f64 / seconds.max(0.1)) as u64;
+        let (summary, _) = encoded(&format!("--coder {coder} --bytes-per-second {budget}"));
+        assert!(count(&summary, "events_approximate") > 0);
+        assert!(count(&summary, "bytes_out") as f64 <= budget as f64 * (seconds + 1.0));
+    }
 }

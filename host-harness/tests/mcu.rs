@@ -14,7 +14,8 @@ use anyhow::Result;
 use cli_support::{Folder, count, number, text};
 use eecvs_nostd::event_link::{Kind, Setup, Status};
 use eecvs_nostd::{
-    Config, Event, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+    Config, Event, Filter, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, Transform,
+    WindowConfig,
 };
 use host_harness::formats::EventReader;
 use host_harness::mcu::image::{self, ImageSizes};
@@ -49,6 +50,8 @@ fn config() -> Config {
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     }
 }
 

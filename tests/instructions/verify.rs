@@ -7,7 +7,7 @@ use anyhow::{Context, bail, ensure};
 use eecvs_nostd::coder::dense::words;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{
-    Coder, Config, Encoder, Fidelity, Hybrid, KEY_WINDOWS, Mode, Push, Quantiser, Sensor,
+    Coder, Config, Encoder, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Push, Quantiser, Sensor,
     Thresholds, Transform, WindowConfig,
 };
 use host_harness::bench::cut::EVENTS;
@@ -67,6 +67,8 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
         mode,
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     })?;
     let mut output = Output::default();
     let mut decoder = Evt2Decoder::new(0);

@@ -16,7 +16,7 @@ use eecvs_nostd::coder::dense::DenseMemory;
 use eecvs_nostd::coder::{dense::PROBABILITIES, range::Probability};
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{
-    Coder, Config, Encoder, Event, Fidelity, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Polarity,
+    Coder, Config, Encoder, Event, Fidelity, Hybrid, Filter, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Polarity,
     Push, Quantiser, Sensor, Stage, Storage, Thresholds, Trace, Transform, WindowConfig,
     bitmap_words, segments,
 };
@@ -385,6 +385,8 @@ fn config(golden: &Golden) -> Option<Config> {
         mode,
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     })
 }
 

@@ -23,7 +23,7 @@ use eecvs_nostd::coder::dense::{self, DenseMemory};
 use eecvs_nostd::coder::range::Probability;
 use eecvs_nostd::evt2::Evt2Decoder;
 use eecvs_nostd::{
-    Coder, Config, Encoder, Fidelity, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser,
+    Coder, Config, Encoder, Fidelity, Hybrid, Filter, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser,
     Sensor, SetupError, Stage, Storage, Thresholds, Trace, Transform, WindowConfig, bitmap_words,
     segments,
 };
@@ -313,6 +313,8 @@ fn main() -> ! {
                 mode,
                 key_windows: KEY_WINDOWS,
                 readout: None,
+                filter: Filter::NONE,
+                bytes_per_second: None,
             };
             let mut probe = Probe::new();
             let dense = DenseMemory {

@@ -4,8 +4,8 @@
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::{
-    Config, Encoder, Event, KEY_WINDOWS, Mode, Push, Quantiser, Sensor, Thresholds, Transform,
-    WindowConfig,
+    Config, Encoder, Event, Filter, KEY_WINDOWS, Mode, Push, Quantiser, Sensor, Thresholds,
+    Transform, WindowConfig,
 };
 
 use crate::formats::EventReader;
@@ -68,6 +68,8 @@ pub const fn config(transform: Transform, m: u8) -> Config {
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     }
 }
 

@@ -5,7 +5,8 @@ use std::num::NonZeroUsize;
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::{
-    Config, Event, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+    Config, Event, Filter, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, Transform,
+    WindowConfig,
 };
 use serde::Serialize;
 
@@ -168,6 +169,8 @@ fn run(
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
         readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
     };
     let limits = Limits {
         window_events: WINDOW_EVENTS,

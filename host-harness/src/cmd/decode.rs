@@ -143,6 +143,10 @@ fn table(summary: &DecodeSummary) -> String {
         ),
         ("  filtered", summary.counts.events_filtered.to_string()),
         ("  dropped", summary.counts.events_dropped.to_string()),
+        (
+            "  left out by the rate control",
+            summary.counts.events_thinned.to_string(),
+        ),
         ("frames lost", summary.link.frames_lost.to_string()),
         ("damaged bytes", summary.link.damaged_bytes.to_string()),
         (

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Hybrid, KEY_WINDOWS, Mode, Quantiser, Regime, Sensor,
+    Coder, Config, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Quantiser, Regime, Sensor,
     Thresholds, Transform, WindowConfig,
 };
 
@@ -204,6 +204,8 @@ impl Run {
             mode,
             key_windows: KEY_WINDOWS,
             readout: None,
+            filter: Filter::NONE,
+            bytes_per_second: None,
         };
         let mut reader = formats::open(&self.scene, None)?;
         let progress = Progress::new("events");

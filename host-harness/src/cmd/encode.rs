@@ -6,14 +6,15 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
 use eecvs_nostd::{
-    Coder, Config, Fidelity, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN, Quantiser,
-    Transform, WindowConfig,
+    Coder, Config, Fidelity, Filter, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN,
+    Quantiser, Region, Transform, WindowConfig,
 };
 
 use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json, rows};
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
 use crate::formats;
+use crate::hot_pixels;
 use crate::output_file::{OutputFile, refuse_same_file};
 use crate::progress::Progress;
 
@@ -35,6 +36,10 @@ pub struct Encode {
     /// alone, which is exact. A decoder need not know: coefficients differ by the kernel's error
     #[arg(long, value_enum, value_name = "NAME", default_value = "table")]
     kernel: KernelName,
+
+    /// Never send the pixels of a text file of lines x,y
+    #[arg(long, value_name = "FILE")]
+    hot_pixels: Option<PathBuf>,
 
     #[command(flatten)]
     limits: LimitOptions,
@@ -79,6 +84,20 @@ pub struct CodecOptions {
     /// out from the first events how
     #[arg(long, value_enum, default_value = "auto")]
     scans: ScanName,
+
+    /// Send only the pixels of a rectangle: first column and row, columns, rows
+    #[arg(long, value_name = "X,Y,W,H", value_parser = region)]
+    region: Option<Region>,
+
+    /// Leave out events that are alone: no other in their pixel and its eight neighbours in the window
+    #[arg(long)]
+    isolated: bool,
+
+    /// hybrid: no second of frames takes more than B bytes. What does not fit is degraded step by step
+    /// (tolerances, then bins, then events that are alone, then every second, fourth, ... event), and
+    /// each frame says how; one thread encodes
+    #[arg(long, value_name = "B")]
+    bytes_per_second: Option<NonZeroU32>,
 
     /// Transform of every window; auto takes the one of its density's regime
     #[arg(long, value_enum, default_value = "auto")]
@@ -178,6 +197,23 @@ enum KernelName {
     Libm,
 }
 
+/// A rectangle from the command line.
+fn region(text: &str) -> Result<Region, String> {
+    let numbers: Option<Vec<u16>> = text
+        .split(',')
+        .map(|part| part.trim().parse().ok())
+        .collect();
+    match numbers.as_deref() {
+        Some(&[x, y, width, height]) if width > 0 && height > 0 => Ok(Region {
+            x,
+            y,
+            width,
+            height,
+        }),
+        _ => Err("four numbers: first column, first row, columns, rows".to_owned()),
+    }
+}
+
 impl KernelName {
     const fn kernel(self) -> Kernel {
         match self {
@@ -211,8 +247,8 @@ impl CodecOptions {
             }),
             ModeName::Transform => {
                 ensure!(
-                    fidelity == Fidelity::Lossless,
-                    "--time-tolerance-us and --bins are for --mode hybrid"
+                    fidelity == Fidelity::Lossless && self.bytes_per_second.is_none(),
+                    "--time-tolerance-us, --bins and --bytes-per-second are for --mode hybrid"
                 );
                 Mode::Transform
             }
@@ -235,6 +271,11 @@ impl CodecOptions {
             mode,
             key_windows: self.key_windows,
             readout: None,
+            filter: Filter {
+                region: self.region,
+                isolated: self.isolated,
+            },
+            bytes_per_second: self.bytes_per_second,
         })
     }
 }
@@ -262,7 +303,12 @@ impl Encode {
             ScanName::Auto => readout::look(reader, config),
             ScanName::Off => (reader, config),
         };
+        let hot = match &self.hot_pixels {
+            Some(path) => hot_pixels::read(path, reader.sensor())?,
+            None => Vec::new(),
+        };
         let codec = Codec {
+            hot: &hot,
             config,
             kernel: self.kernel.kernel(),
         };
@@ -307,6 +353,14 @@ pub fn table(summary: &EncodeSummary) -> String {
         ("  late", summary.events_late.to_string()),
         ("  filtered", summary.events_filtered.to_string()),
         ("  dropped", summary.events_dropped.to_string()),
+        (
+            "  left out by the rate control",
+            summary.events_thinned.to_string(),
+        ),
+        (
+            "approximate in time",
+            summary.events_approximate.to_string(),
+        ),
         ("windows", summary.windows.to_string()),
         ("  dct", summary.windows_dct.to_string()),
         ("  dtft", summary.windows_dtft.to_string()),

@@ -54,6 +54,7 @@ struct Row {
     late: u32,
     filtered: u32,
     dropped: u32,
+    thinned: u32,
     saturated: u32,
     truncated: bool,
 }
@@ -153,6 +154,7 @@ impl Row {
             late: header.late,
             filtered: header.filtered,
             dropped: header.dropped,
+            thinned: header.thinned,
             saturated: header.saturated,
             truncated: header.truncated,
         }

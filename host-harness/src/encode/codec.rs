@@ -5,24 +5,27 @@ use eecvs_nostd::{Coder, Config, Encoded, Hybrid, Kernel, Mode, NoRoom, Window, 
 
 /// A configuration, and the kernel of the accumulate stage.
 #[derive(Debug, Clone, Copy)]
-pub struct Codec {
+pub struct Codec<'h> {
     /// Everything that a microcontroller is asked to do as well.
     pub config: Config,
     /// Kernel of the DCT and the DTFT. The Haar transform has one alone.
     pub kernel: Kernel,
+    /// Pixels that are never sent: see [`eecvs_nostd::Scratch::hot`].
+    pub hot: &'h [u32],
 }
 
-impl From<Config> for Codec {
+impl From<Config> for Codec<'_> {
     /// With the encoder's own kernel.
     fn from(config: Config) -> Self {
         Self {
             config,
             kernel: Kernel::Table,
+            hot: &[],
         }
     }
 }
 
-impl Codec {
+impl Codec<'_> {
     /// Of the dense coder, windows after which its frames begin anew.
     pub(super) const fn chained(&self) -> Option<u16> {
         match self.config.mode {

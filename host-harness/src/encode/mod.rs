@@ -41,6 +41,10 @@ pub struct EncodeSummary {
     pub events_filtered: u64,
     /// Events lost.
     pub events_dropped: u64,
+    /// Events that the rate control left out.
+    pub events_thinned: u64,
+    /// Of those encoded, events whose times are not told exactly; in mode transform, all.
+    pub events_approximate: u64,
     /// Windows with events.
     pub windows: u64,
     /// Windows sent with the DCT.
@@ -79,6 +83,10 @@ impl EncodeSummary {
         self.events_late += u64::from(header.late);
         self.events_filtered += u64::from(header.filtered);
         self.events_dropped += u64::from(header.dropped);
+        self.events_thinned += u64::from(header.thinned);
+        if !header.mode.is_lossless() {
+            self.events_approximate += u64::from(header.events);
+        }
         self.levels_saturated += u64::from(header.saturated);
         if header.part == 0 && header.window_events > 0 {
             self.windows += 1;
@@ -124,16 +132,16 @@ type Outcome = (EncodeSummary, Duration);
 
 /// Encodes a recording; `progress` gets the events read so far.
 ///
-/// The frames do not depend on `threads`. With one thread all happens on the caller's; with more,
+/// The frames do not depend on `threads`; with a budget of bytes there is one. With one thread all happens on the caller's; with more,
 /// another one reads ahead and the caller's writes. Memory does not grow with the recording: each
 /// thread holds at most 8 windows' buffers and some frames.
 ///
 /// # Errors
 /// Reading or writing, a configuration that cannot run, or an event that is not accounted for. The
 /// frames of the windows before a reading error have been written.
-pub fn encode(
+pub fn encode<'h>(
     reader: &mut dyn EventReader,
-    codec: impl Into<Codec>,
+    codec: impl Into<Codec<'h>>,
     limits: Limits,
     threads: NonZeroUsize,
     out: &mut dyn Write,
@@ -145,6 +153,11 @@ pub fn encode(
         "a frame needs room for at least {OUTPUT_BYTES_MIN} bytes"
     );
     let started = Instant::now();
+    // What a window may take follows from those before it.
+    let threads = match codec.config.bytes_per_second {
+        Some(_) => NonZeroUsize::MIN,
+        None => threads,
+    };
     let run = if threads == NonZeroUsize::MIN {
         encode_here(reader, codec, limits, out, progress)
     } else {
@@ -156,7 +169,8 @@ pub fn encode(
     let accounted = summary.events_encoded
         + summary.events_late
         + summary.events_filtered
-        + summary.events_dropped;
+        + summary.events_dropped
+        + summary.events_thinned;
     ensure!(
         accounted == summary.events_in,
         "{} events were read but {accounted} are accounted for: please report this",
@@ -168,13 +182,13 @@ pub fn encode(
 /// Encodes on this thread.
 fn encode_here(
     reader: &mut dyn EventReader,
-    codec: Codec,
+    codec: Codec<'_>,
     limits: Limits,
     out: &mut dyn Write,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Outcome> {
     let mut storage = HostStorage::new(codec.config.window.sensor, limits.window_events);
-    let (mut windows, mut encoder) = storage.parts(codec.config)?;
+    let (mut windows, mut encoder) = storage.parts(codec.config, codec.hot)?;
     let window = windows.first_mut().context("the memory has no window")?;
     let mut cutter = Cutter::new(Direct(reader));
     let mut frame = vec![0; limits.frame_bytes];

@@ -103,7 +103,7 @@ struct Shared {
 /// As [`super::encode`], on `threads` threads beside one that reads and this one, which writes.
 pub fn encode(
     reader: &mut dyn EventReader,
-    codec: Codec,
+    codec: Codec<'_>,
     limits: Limits,
     threads: NonZeroUsize,
     out: &mut dyn Write,
@@ -117,7 +117,7 @@ pub fn encode(
         .collect();
     let encoders: Vec<_> = storages
         .iter_mut()
-        .map(|storage| storage.parts(codec.config))
+        .map(|storage| storage.parts(codec.config, codec.hot))
         .collect::<Result<_>>()?;
     let shared = Shared {
         frame_bytes: limits.frame_bytes,
@@ -257,7 +257,7 @@ impl Front {
 /// A thread that encodes.
 struct Thread<'s, 'b> {
     shared: &'s Shared,
-    codec: Codec,
+    codec: Codec<'s>,
     windows: Vec<Window<'b>>,
     encoder: WindowEncoder<'b>,
     busy: Duration,

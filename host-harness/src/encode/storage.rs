@@ -91,16 +91,21 @@ impl HostStorage {
     /// # Errors
     /// A window of 0 us or of no events, M or K out of range.
     pub fn encoder(&mut self, config: Config) -> Result<Encoder<'_>> {
-        let (mut windows, encoder) = self.parts(config)?;
+        let (mut windows, encoder) = self.parts(config, &[])?;
         let window = windows.pop().context("the memory has no window")?;
         Ok(Encoder::new(window, encoder))
     }
 
-    /// Every window, and the encoder of them, over this memory, which is cleared.
+    /// Every window, and the encoder of them, over this memory, which is cleared; without the pixels
+    /// [`Scratch::hot`].
     ///
     /// # Errors
     /// As [`Self::encoder`].
-    pub(super) fn parts(&mut self, config: Config) -> Result<(Vec<Window<'_>>, WindowEncoder<'_>)> {
+    pub(super) fn parts<'s>(
+        &'s mut self,
+        config: Config,
+        hot: &'s [u32],
+    ) -> Result<(Vec<Window<'s>>, WindowEncoder<'s>)> {
         let windows: Option<Vec<_>> = self
             .windows
             .iter_mut()
@@ -118,11 +123,13 @@ impl HostStorage {
                 probabilities: &mut self.probabilities,
                 words: &mut self.words,
             }),
+            hot,
         };
         match WindowEncoder::new(config, scratch) {
             Ok(encoder) => Ok((windows, encoder)),
             Err(error) => bail!(
-                "M must be 1 to 64, the grid 1 to 1024, and bins 1 or more ({error:?} is not)"
+                "M must be 1 to 64, the grid 1 to 1024, bins 1 or more, and a budget is for mode hybrid \
+                 and of some 146 bytes a window at the least ({error:?} is not)"
             ),
         }
     }

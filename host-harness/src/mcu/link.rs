@@ -233,7 +233,9 @@ mod tests {
     use crate::encode::{Limits, all_cores, encode};
     use crate::scene::{Preset, SceneConfig, emulate};
     use eecvs_nostd::evt2::{Evt2Decoder, Word};
-    use eecvs_nostd::{Config, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, WindowConfig};
+    use eecvs_nostd::{
+        Config, Filter, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, WindowConfig,
+    };
     use proptest::prelude::*;
     use std::sync::LazyLock;
 
@@ -262,6 +264,8 @@ mod tests {
             mode: Mode::Transform,
             key_windows: KEY_WINDOWS,
             readout: None,
+            filter: Filter::NONE,
+            bytes_per_second: None,
         };
         let mut bytes = Vec::new();
         let mut scene = emulate(SCENE).unwrap();

@@ -199,7 +199,7 @@ impl Plan {
 /// # Errors
 /// No answer for as long as the connection's patience, a refusal, an answer that makes no sense.
 pub fn set_up(connection: &mut Connection, setup: &Setup) -> Result<Status> {
-    let mut body = [0; 64];
+    let mut body = [0; 96];
     let Ok(length) = setup.write(&mut body) else {
         bail!("the setup does not fit its packet");
     };

@@ -7,7 +7,7 @@ use eecvs_nostd::coder::dense::{Dense, DenseMemory, PROBABILITIES, words};
 use eecvs_nostd::coder::fast::Fast;
 use eecvs_nostd::coder::range::{Probability, RangeDecoder};
 use eecvs_nostd::{Coder, Config, Event, Frame, Header, Hybrid, Mode, Polarity, Push, Sensor};
-use eecvs_nostd::{Thresholds, Times, WindowConfig};
+use eecvs_nostd::{Filter, Thresholds, Times, WindowConfig};
 
 use super::{DecodedWindow, Pixel, pixels};
 use crate::encode::HostStorage;
@@ -223,6 +223,8 @@ impl DecodedWindow {
             mode: Mode::Transform,
             key_windows: 1,
             readout: None,
+            filter: Filter::NONE,
+            bytes_per_second: None,
         };
         let mut storage = HostStorage::new(header.sensor, self.events.len().max(1));
         let mut encoder = storage.encoder(config)?;

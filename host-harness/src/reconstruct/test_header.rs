@@ -26,6 +26,7 @@ pub fn header(duration_us: u32) -> Header {
         late: 0,
         filtered: 0,
         dropped: 0,
+        thinned: 0,
         saturated: 0,
         transform: Transform::Dtft,
         m: 16,

@@ -19,8 +19,9 @@ use eecvs_nostd::bits::exp_golomb;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt};
 use eecvs_nostd::window::SEGMENT_PIXELS;
 use eecvs_nostd::{
-    Coded, Config, Descriptor, Encoded, Encoder, FRAME_BYTES_MAX, Frame, Header, KEY_WINDOWS,
-    Level, Mode, Push, Quantiser, Thresholds, Transform, WindowConfig, bitmap_words, segments,
+    Coded, Config, Descriptor, Encoded, Encoder, FRAME_BYTES_MAX, Filter, Frame, Header,
+    KEY_WINDOWS, Level, Mode, Push, Quantiser, Thresholds, Transform, WindowConfig, bitmap_words,
+    segments,
 };
 use serde::Serialize;
 
@@ -194,6 +195,8 @@ impl<'s> Point<'s> {
             mode: Mode::Transform,
             key_windows: KEY_WINDOWS,
             readout: None,
+            filter: Filter::NONE,
+            bytes_per_second: None,
         }
     }
 

@@ -1,0 +1,311 @@
+//! Rate control: no second exceeds its budget, no window is without a frame, every event is
+//! accounted for, and full fidelity returns when a flood is over.
+//!
+//! The table of a flood under three budgets, of a shared recording where it is present, is printed
+//! with `--nocapture`.
+
+use std::collections::BTreeMap;
+use std::num::NonZeroU32;
+use std::path::Path;
+
+use eecvs_nostd::{
+    Coder, Config, Event, Fidelity, Header, Hybrid, Mode, Polarity, Sensor, Transform,
+};
+use host_harness::decode::WindowReader;
+use host_harness::formats::{self, EventReader, Skipped};
+use host_harness::frame_file::FrameReader;
+use host_harness::metrics::compare;
+use proptest::prelude::*;
+use strategies::{encode, parse, plain_config};
+
+/// Longest header, CRC, an event and what is told before it: with less left a frame has no events, and
+/// a frame has at least so many bytes.
+const FRAME_BYTES_MAX_WITHOUT_EVENTS: u64 = 80;
+
+fn with_budget(sensor: Sensor, coder: Coder, fidelity: Fidelity, budget: u32) -> Config {
+    Config {
+        mode: Mode::Hybrid(Hybrid { coder, fidelity }),
+        bytes_per_second: NonZeroU32::new(budget),
+        ..plain_config(sensor, Transform::Dct, 8)
+    }
+}
+
+/// Most bytes of frames whose windows end within a second; frames without events apart.
+fn most_in_a_second(frames: &[Vec<u8>]) -> (u64, u64) {
+    let ends: Vec<(u64, u64, u64)> = frames
+        .iter()
+        .map(|bytes| {
+            let header = parse(bytes).header;
+            let end_us = header.t0_us + u64::from(header.duration_us);
+            let len = bytes.len() as u64;
+            match header.events {
+                0 => (end_us, 0, len),
+                _ => (end_us, len, 0),
+            }
+        })
+        .collect();
+    let (mut most, mut empty) = (0, 0);
+    for (i, (start_us, _, _)) in ends.iter().enumerate() {
+        let second = ends[i..]
+            .iter()
+            .take_while(|end| end.0 < start_us + 1_000_000);
+        let sums = second.fold((0, 0), |sums, end| (sums.0 + end.1, sums.1 + end.2));
+        most = most.max(sums.0);
+        empty = empty.max(sums.1);
+    }
+    (most, empty)
+}
+
+/// Checks everything but the fidelity; the headers by window.
+fn check(config: Config, events: &[Event], frames: &[Vec<u8>]) -> Vec<Vec<Header>> {
+    let budget = u64::from(config.bytes_per_second.map_or(0, NonZeroU32::get));
+    let mut windows: BTreeMap<u64, Vec<Header>> = BTreeMap::new();
+    let mut accounted = 0;
+    for bytes in frames {
+        let header = parse(bytes).header;
+        accounted +=
+            header.events + header.late + header.filtered + header.dropped + header.thinned;
+        windows.entry(header.t0_us).or_default().push(header);
+        if header.events == 0 {
+            assert!(bytes.len() as u64 <= FRAME_BYTES_MAX_WITHOUT_EVENTS);
+        }
+    }
+    assert_eq!(accounted as usize, events.len());
+    let (most, empty) = most_in_a_second(frames);
+    assert!(
+        most <= budget,
+        "{most} bytes with events, {empty} without, of {budget}"
+    );
+    // No window without a frame: every event's time is in one.
+    let start_us = events.iter().map(|event| event.t_us).min();
+    if let (Some(start_us), Some(first)) = (start_us, windows.keys().next()) {
+        assert_eq!(start_us, *first);
+    }
+    let bytes = frames.concat();
+    let mut reader = WindowReader::new(FrameReader::new(&bytes[..]));
+    let mut decoded = 0;
+    while let Some(window) = reader.next_window().expect("memory") {
+        decoded += window.events.len() as u64;
+    }
+    assert!(reader.report().is_clean(), "{:?}", reader.report());
+    let counts = reader.counts();
+    assert_eq!(counts.events_exact + counts.events_approximate, decoded);
+    assert_eq!(
+        decoded + counts.events_thinned + counts.events_late + counts.events_dropped,
+        events.len() as u64
+    );
+    windows.into_values().collect()
+}
+
+/// Events of stretches of some rate each, a millisecond's worth at a time, spread or in a corner.
+fn scene(sensor: Sensor, stretches: &[(u32, u32, bool)]) -> Vec<Event> {
+    let mut events = Vec::new();
+    let (mut t_us, mut seed) = (1_000_000_u64, 1_u32);
+    let mut random = || {
+        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        seed >> 8
+    };
+    for (milliseconds, events_per_ms, is_spread) in stretches {
+        for _ in 0..*milliseconds {
+            let mut times: Vec<u64> = (0..*events_per_ms)
+                .map(|_| t_us + u64::from(random() % 1000))
+                .collect();
+            times.sort_unstable();
+            for t_us in times {
+                let (width, height) = if *is_spread {
+                    (sensor.width, sensor.height)
+                } else {
+                    (sensor.width.min(20), sensor.height.min(20))
+                };
+                events.push(Event {
+                    t_us,
+                    x: (random() % u32::from(width)) as u16,
+                    y: (random() % u32::from(height)) as u16,
+                    polarity: Polarity::from_bool(random() % 3 == 0),
+                });
+            }
+            t_us += 1000;
+        }
+    }
+    events
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    #[test]
+    fn no_second_exceeds_its_budget(
+        (width, height) in (1_u16..400, 1_u16..300),
+        stretches in proptest::collection::vec((1_u32..300, prop_oneof![0_u32..5, 0_u32..400], any::<bool>()), 1..6),
+        budget in prop_oneof![10_000_u32..100_000, 10_000_u32..4_000_000],
+        is_dense: bool,
+        fidelity in prop_oneof![
+            Just(Fidelity::Lossless),
+            (0_u32..5000).prop_map(Fidelity::ToleranceUs),
+            (1_u16..100).prop_map(Fidelity::Bins),
+        ],
+        window_us in prop_oneof![Just(32_768_u32), 20_000_u32..2_000_000],
+        frame_bytes in prop_oneof![Just(1_usize << 20), Just(4096)],
+    ) {
+        let sensor = Sensor::new(width, height).expect("a sensor");
+        let events = scene(sensor, &stretches);
+        let coder = if is_dense { Coder::Dense } else { Coder::Fast };
+        let mut config = with_budget(sensor, coder, fidelity, budget);
+        config.window.window_us = window_us;
+        let frames = encode(config, &events, 1 << 17, frame_bytes);
+        check(config, &events, &frames);
+    }
+}
+
+/// A recording in memory.
+struct Memory(std::vec::IntoIter<Event>, Sensor, Skipped);
+
+impl EventReader for Memory {
+    fn format(&self) -> &'static str {
+        "memory"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.1
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> anyhow::Result<usize> {
+        let before = events.len();
+        events.extend(self.0.by_ref().take(1 << 14));
+        Ok(events.len() - before)
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.2
+    }
+}
+
+/// Mean error of an event's time, by pixel, from some time on: see the metrics.
+fn emd_pixel_us(sensor: Sensor, events: &[Event], frames: &[Vec<u8>], from_us: u64) -> f64 {
+    let bytes = frames.concat();
+    let mut windows = WindowReader::new(FrameReader::new(&bytes[..]));
+    let mut decoded = Vec::new();
+    while let Some(window) = windows.next_window().expect("memory") {
+        decoded.extend(window.events);
+    }
+    let later = |events: &[Event]| -> Vec<Event> {
+        let mut later: Vec<_> = events
+            .iter()
+            .copied()
+            .filter(|event| event.t_us >= from_us)
+            .collect();
+        later.sort_by_key(|event| event.t_us);
+        later
+    };
+    let (a, b) = (later(events), later(&decoded));
+    let open = |events: Vec<Event>| {
+        move || -> anyhow::Result<Box<dyn EventReader>> {
+            let events = events.clone().into_iter();
+            Ok(Box::new(Memory(events, sensor, Skipped::default())))
+        }
+    };
+    let compared = compare(&open(a), &open(b), 32_768, &mut |_| ()).expect("memory");
+    compared.emd_pixel_us
+}
+
+fn is_exact(window: &[Header]) -> bool {
+    window
+        .iter()
+        .all(|header| header.mode.is_lossless() && header.thinned == 0)
+}
+
+/// Half a second of quiet, as much of a flood, and so on.
+#[test]
+fn full_fidelity_returns_within_two_windows() {
+    let sensor = Sensor::new(346, 260).expect("a sensor");
+    let (quiet, flood) = ((500, 20, true), (500, 1500, true));
+    let events = scene(sensor, &[quiet, flood, quiet, flood, quiet]);
+    for coder in [Coder::Fast, Coder::Dense] {
+        let config = with_budget(sensor, coder, Fidelity::Lossless, 500_000);
+        let frames = encode(config, &events, 1 << 17, 1 << 20);
+        let windows = check(config, &events, &frames);
+        let mut since_flood = 10;
+        let (mut exact, mut degraded) = (0, 0);
+        for window in &windows {
+            let header = window[0];
+            let half = |t_us: u64| (t_us - 1_000_000) / 500_000;
+            let end_us = header.t0_us + u64::from(header.duration_us) - 1;
+            if half(header.t0_us) % 2 == 1 || half(end_us) % 2 == 1 {
+                since_flood = 0;
+                degraded += u32::from(!is_exact(window));
+                continue;
+            }
+            since_flood += 1;
+            assert!(since_flood <= 2 || is_exact(window), "{coder:?} {header:?}");
+            exact += u32::from(is_exact(window));
+        }
+        assert!(
+            exact > 40 && degraded > 25,
+            "{exact} exact, {degraded} degraded"
+        );
+    }
+}
+
+/// The flood of a real sensor under the budgets of links: printed, and checked.
+#[test]
+fn a_flood_fits_its_link() {
+    let path = "../../shared/data/gen3_vga_dense_evt2/evt2.raw";
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
+    if !path.exists() {
+        eprintln!("skipped: {} is absent", path.display());
+        return;
+    }
+    let mut reader = formats::open(&path, None).expect("a recording");
+    let mut once = Vec::new();
+    while reader.read(&mut once).expect("a recording") > 0 {}
+    let first = once.iter().map(|event| event.t_us).min().expect("events");
+    let last = once.iter().map(|event| event.t_us).max().expect("events");
+    // The recording is a tenth of a second: over and over again it is one and a half.
+    let events: Vec<Event> = (0..16_u64)
+        .flat_map(|i| {
+            let later = i * (last + 1 - first);
+            once.iter().map(move |event| Event {
+                t_us: event.t_us + later,
+                ..*event
+            })
+        })
+        .collect();
+    println!(
+        "| bytes a second | coder | exact | approximate | missing | emd_pixel_us | most in a second |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    // Of the last pass: what was learned at first has settled.
+    let last_pass_us = first + 15 * (last + 1 - first);
+    for budget in [12_800_000, 4_000_000, 1_000_000] {
+        for coder in [Coder::Fast, Coder::Dense] {
+            let config = with_budget(reader.sensor(), coder, Fidelity::Lossless, budget);
+            let frames = encode(config, &events, 1 << 20, 1 << 24);
+            let windows = check(config, &events, &frames);
+            let (mut exact, mut approximate, mut missing) = (0_u64, 0_u64, 0_u64);
+            for header in windows.iter().flatten() {
+                missing += u64::from(header.thinned);
+                match header.mode.is_lossless() {
+                    true => exact += u64::from(header.events),
+                    false => approximate += u64::from(header.events),
+                }
+            }
+            let share = |count: u64| 100.0 * count as f64 / events.len() as f64;
+            println!(
+                "| {budget} | {} | {:.1} % | {:.1} % | {:.1} % | {:.0} | {} |",
+                coder.name(),
+                share(exact),
+                share(approximate),
+                share(missing),
+                emd_pixel_us(reader.sensor(), &events, &frames, last_pass_us),
+                most_in_a_second(&frames).0
+            );
+            if budget == 12_800_000 {
+                assert_eq!(exact as usize, events.len());
+            }
+            // The dense coder's volumes of few bins nearly fit the least of the budgets.
+            if coder == Coder::Dense {
+                assert!(share(missing) < 20.0);
+            }
+        }
+    }
+}
