@@ -337,7 +337,7 @@ impl<'b> Window<'b> {
     }
 
     /// Adds an event, or says why not.
-    #[inline]
+    #[cfg_attr(target_pointer_width = "64", inline)]
     pub fn push(&mut self, event: Event) -> Push {
         // On a host the events of a window are stored in place, wherever they come from.
         if cfg!(target_pointer_width = "64")
@@ -355,6 +355,8 @@ impl<'b> Window<'b> {
     }
 
     /// [`Self::push`] of any event.
+    #[cfg_attr(target_pointer_width = "64", inline(never))]
+    #[cfg_attr(not(target_pointer_width = "64"), inline(always))]
     fn push_apart(&mut self, event: Event) -> Push {
         if self.closed.is_some() {
             return Push::Closed;
