@@ -69,7 +69,9 @@ impl<'o> BitWriter<'o> {
     #[inline(always)]
     pub fn put_clean(&mut self, value: u32, bits: u32) {
         debug_assert!(bits <= 32 && u64::from(value) < 1 << bits);
-        if !self.put_within(value, bits) {
+        if cfg!(target_pointer_width = "64") {
+            self.put_at_once(value, bits);
+        } else if !self.put_within(value, bits) {
             self.complete_apart(value, bits);
         }
     }
@@ -78,9 +80,33 @@ impl<'o> BitWriter<'o> {
     #[inline(always)]
     pub fn put_here(&mut self, value: u32, bits: u32) {
         debug_assert!(bits <= 32 && u64::from(value) < 1 << bits);
-        if !self.put_within(value, bits) {
+        if cfg!(target_pointer_width = "64") {
+            self.put_at_once(value, bits);
+        } else if !self.put_within(value, bits) {
             self.complete(value, bits);
         }
+    }
+
+    /// The same where a register has room for two words: which of the values completes one is
+    /// nothing that a processor could foresee, so the word is written in any case.
+    #[inline(always)]
+    fn put_at_once(&mut self, value: u32, bits: u32) {
+        let Position {
+            words,
+            pending,
+            free,
+        } = self.state;
+        let filled = 32_u32.wrapping_sub(free);
+        let both = u64::from(pending) | (u64::from(value) << (filled & 31));
+        if let Some(place) = self.words.get_mut(words) {
+            *place = (both as u32).to_le_bytes();
+        }
+        let filled = filled.wrapping_add(bits);
+        self.state = Position {
+            words: words + (filled / 32) as usize,
+            pending: (both >> (filled & 32)) as u32,
+            free: 32 - filled % 32,
+        };
     }
 
     /// Whether the value leaves room in the word; else nothing has been put.
@@ -120,6 +146,33 @@ impl<'o> BitWriter<'o> {
             words: words + 1,
             pending: beyond,
             free: 32 + free - bits,
+        };
+    }
+
+    /// As [`Self::put_clean`] up to 64 bits.
+    #[cfg(target_arch = "x86_64")]
+    #[inline(always)]
+    pub(crate) fn put_long(&mut self, value: u64, bits: u32) {
+        debug_assert!(bits <= 64 && u128::from(value) < 1 << bits);
+        let Position {
+            words,
+            pending,
+            free,
+        } = self.state;
+        let filled = 32_u32.wrapping_sub(free);
+        let all = u128::from(pending) | (u128::from(value) << (filled & 31));
+        let place = self.words.get_mut(words..);
+        if let Some(place) = place.and_then(|words| words.first_chunk_mut::<2>()) {
+            *place = [all as u32, (all >> 32) as u32].map(u32::to_le_bytes);
+        } else if let Some(place) = self.words.get_mut(words) {
+            // The last one, and none for what is beyond it.
+            *place = (all as u32).to_le_bytes();
+        }
+        let filled = filled.wrapping_add(bits);
+        self.state = Position {
+            words: words + (filled / 32) as usize,
+            pending: (all >> (filled & 96)) as u32,
+            free: 32 - filled % 32,
         };
     }
 
@@ -352,6 +405,33 @@ mod tests {
             Code::Plain(value, bits) => reader.get(bits) == Ok(value),
             Code::ExpGolomb(value, order) => reader.get_exp_golomb(order) == Ok(value),
             Code::Unary(count) => reader.get_unary(32) == Ok(count),
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    proptest! {
+        /// Also where the buffer ends.
+        #[test]
+        fn a_long_value_is_its_two_halves(
+            len in 0..40_usize, values in proptest::collection::vec((any::<u64>(), 0..=64_u32), 0..20),
+        ) {
+            let mut out = [[0; 40]; 2];
+            let [once, twice] = &mut out;
+            let (mut once, mut twice) = (BitWriter::new(&mut once[..len]), BitWriter::new(&mut twice[..len]));
+            for (value, bits) in values {
+                let value = (u128::from(value) & ((1 << bits) - 1)) as u64;
+                once.put_long(value, bits);
+                twice.put(value as u32, bits.min(32));
+                twice.put((value >> 32) as u32, bits.saturating_sub(32));
+                prop_assert_eq!(once.is_full(), twice.is_full());
+                if !once.is_full() {
+                    prop_assert_eq!(once.position(), twice.position());
+                }
+            }
+            if !once.is_full() {
+                prop_assert_eq!(once.finish(), twice.finish());
+                prop_assert_eq!(out[0], out[1]);
+            }
         }
     }
 

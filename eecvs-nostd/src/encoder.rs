@@ -24,8 +24,10 @@ use crate::rate::{Rate, WINDOW_BYTES_MIN};
 use crate::regime::Thresholds;
 use crate::trace::{Stage, Trace};
 use crate::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, M_MAX, Transform};
+#[cfg(target_arch = "x86_64")]
+use crate::waves_avx2 as waves;
 #[cfg(eecvs_dsp)]
-use crate::waves_dsp;
+use crate::waves_dsp as waves;
 use crate::window::{Closed, Push, Window, WindowBuffers, WindowConfig};
 
 /// Smallest output that always takes a frame with at least one pixel.
@@ -557,11 +559,8 @@ impl<'b> WindowEncoder<'b> {
             (events, pixels, saturated) =
                 encoder.encode_lanes(&mut self.group, window, writer, trace);
         }
-        #[cfg(eecvs_dsp)]
-        if B::HAS_WALKS
-            && B::TRANSFORM as u8 == Transform::Dtft as u8
-            && waves_dsp::is_for(&packing)
-        {
+        #[cfg(any(eecvs_dsp, target_arch = "x86_64"))]
+        if B::HAS_WALKS && B::TRANSFORM as u8 == Transform::Dtft as u8 && waves::is_for(&packing) {
             (events, pixels, saturated) =
                 encoder.encode_waves(&mut self.group, window, writer, trace);
         }

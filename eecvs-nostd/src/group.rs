@@ -95,7 +95,10 @@ impl Group {
     }
 
     /// The next pixel; `None` after the last.
-    #[inline]
+    ///
+    /// In place on a host: numbers that are stored one by one and loaded as one stall it.
+    #[cfg_attr(target_pointer_width = "64", inline(always))]
+    #[cfg_attr(not(target_pointer_width = "64"), inline)]
     pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
         let columns = match NonZeroU32::new(self.columns) {
             Some(columns) => columns,
@@ -145,8 +148,7 @@ impl Group {
         }
     }
 
-    #[cfg_attr(target_pointer_width = "64", inline(always))]
-    #[cfg_attr(not(target_pointer_width = "64"), inline(never))]
+    #[inline(never)]
     fn next_segment_apart(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
         self.next_segment(window)
     }

@@ -54,6 +54,8 @@ pub mod storage;
 pub mod trace;
 pub mod transform;
 pub mod unpack;
+#[cfg(target_arch = "x86_64")]
+mod waves_avx2;
 #[cfg(eecvs_dsp)]
 mod waves_dsp;
 pub mod window;

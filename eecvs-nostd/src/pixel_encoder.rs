@@ -10,11 +10,13 @@ use crate::phase::PhaseScale;
 use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::trace::{Stage, Trace};
-#[cfg(eecvs_dsp)]
+#[cfg(any(eecvs_dsp, target_arch = "x86_64"))]
 use crate::transform::Dtft;
 use crate::transform::lanes::Lanes;
 use crate::transform::rows::{self, Cosines};
 use crate::transform::{Basis, Dct, Dwt, Rule, Transform, lanes};
+#[cfg(target_arch = "x86_64")]
+use crate::waves_avx2;
 #[cfg(eecvs_dsp)]
 use crate::waves_dsp::{self, Waves};
 use crate::window::{Slot, Window};
@@ -241,6 +243,45 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (events, pixels, saturated)
     }
 
+    /// Encodes pixels where [`waves_avx2::is_for`] holds while the output has room for any. Returns
+    /// events, pixels, and how many levels saturated.
+    #[cfg(target_arch = "x86_64")]
+    #[allow(unsafe_code)]
+    #[inline(never)]
+    pub(crate) fn encode_waves<T: Trace>(
+        &mut self,
+        group: &mut Group,
+        window: &mut Window<'_>,
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> (u32, u32, u32) {
+        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
+        let waves = waves_avx2::Waves::new(self.shape, self.scale);
+        while writer.has_words(waves_avx2::WORDS_MAX) {
+            trace.enter(Stage::Group);
+            let Some(pixel) = group.next(window) else {
+                break;
+            };
+            let slots = window.slots();
+            let here = pixel.on + pixel.off;
+            let packer = &mut self.packer;
+            match here {
+                1 => encode_single::<Dtft, T>((self.scale, packer), pixel, slots, writer, trace),
+                // SAFETY: `waves_avx2::is_for` holds.
+                2..=CHUNK_EVENTS_U32 => unsafe {
+                    waves.encode(pixel, slots, packer, writer, trace);
+                },
+                _ => {
+                    let saturates = self.encode_crowded::<Dtft, T>(pixel, slots, writer, trace);
+                    saturated = saturated.saturating_add(saturates);
+                }
+            }
+            events += here;
+            pixels += 1;
+        }
+        (events, pixels, saturated)
+    }
+
     /// Encodes pixels where [`is_lanes`] holds while the output has room for any. Returns events,
     /// pixels, and how many levels saturated.
     #[inline(always)]
@@ -371,10 +412,20 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) {
         trace.enter(Stage::Accumulate);
-        self.cosines.sum(&Impulses::new(*pixel, slots));
-        trace.enter(Stage::Pack);
+        let impulses = Impulses::new(*pixel, slots);
         let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
-        self.packer.seven(position, counts, &self.cosines, writer);
+        #[cfg(target_arch = "x86_64")]
+        {
+            let sums = self.cosines.sums_of(&impulses);
+            trace.enter(Stage::Pack);
+            self.packer.seven_vectors(position, counts, sums, writer);
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        {
+            self.cosines.sum(&impulses);
+            trace.enter(Stage::Pack);
+            self.packer.seven(position, counts, &self.cosines, writer);
+        }
     }
 
     /// A pixel of several chunks.

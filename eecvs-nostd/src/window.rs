@@ -340,7 +340,27 @@ impl<'b> Window<'b> {
     }
 
     /// Adds an event, or says why not.
+    #[cfg_attr(target_pointer_width = "64", inline)]
     pub fn push(&mut self, event: Event) -> Push {
+        // On a host the events of a window are stored in place, wherever they come from.
+        if cfg!(target_pointer_width = "64")
+            && self.closed.is_none()
+            && self.config.sensor.contains(event.x, event.y)
+            && let Some(start_us) = self.start_us
+            && let Some(offset_us) = event.t_us.checked_sub(start_us)
+            && offset_us < u64::from(self.config.window_us)
+            && (self.len as usize) < self.slots.len()
+        {
+            self.store(event, offset_us as u32);
+            return Push::Stored;
+        }
+        self.push_apart(event)
+    }
+
+    /// [`Self::push`] of any event.
+    #[cfg_attr(target_pointer_width = "64", inline(never))]
+    #[cfg_attr(not(target_pointer_width = "64"), inline(always))]
+    fn push_apart(&mut self, event: Event) -> Push {
         if self.closed.is_some() {
             return Push::Closed;
         }
@@ -378,7 +398,8 @@ impl<'b> Window<'b> {
         Push::Stored
     }
 
-    #[inline]
+    #[cfg_attr(target_pointer_width = "64", inline(always))]
+    #[cfg_attr(not(target_pointer_width = "64"), inline)]
     fn store(&mut self, event: Event, offset_us: u32) {
         let x = u32::from(event.x);
         let segment = u32::from(event.y) * self.stride.get() + x / u32::from(SEGMENT_PIXELS);

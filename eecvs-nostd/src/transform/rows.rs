@@ -57,7 +57,7 @@ const ATOM_MAX: i32 = (1 << FRACTION_BITS) - 1;
 
 /// An event's lines and their weights.
 #[derive(Debug, Clone, Copy)]
-struct Weighted {
+pub(crate) struct Weighted {
     lines: &'static [Line; GRID],
     /// p and p d for even k.
     even: u32,
@@ -121,8 +121,10 @@ mod portable {
 #[allow(unsafe_code)]
 mod sse2 {
     use core::arch::x86_64::{
-        __m128i, _mm_add_epi32, _mm_loadu_si128, _mm_madd_epi16, _mm_set_epi32, _mm_setzero_si128,
-        _mm_storeu_si128,
+        __m128i, _mm_add_epi32, _mm_cvtsi32_si128, _mm_cvtsi128_si64, _mm_loadu_si128,
+        _mm_madd_epi16, _mm_or_si128, _mm_set_epi32, _mm_setzero_si128, _mm_sll_epi32,
+        _mm_slli_epi64, _mm_sra_epi32, _mm_srai_epi32, _mm_srl_epi32, _mm_srl_epi64,
+        _mm_srli_epi64, _mm_storeu_si128, _mm_unpackhi_epi64, _mm_xor_si128,
     };
 
     use super::{ATOMS, GRID, Weighted};
@@ -152,6 +154,47 @@ mod sse2 {
             }
         }
 
+        /// floor(sum / 2^`shift`) of each.
+        #[inline(always)]
+        pub fn levels(self, shift: u32) -> Self {
+            // SAFETY: as for `zero`.
+            Self(
+                self.0.map(|sums| unsafe {
+                    _mm_sra_epi32(sums, _mm_cvtsi32_si128(shift.cast_signed()))
+                }),
+            )
+        }
+
+        /// The bits that are not copies of the sign, of any of them.
+        #[inline(always)]
+        pub fn spread(self) -> u32 {
+            // SAFETY: as for `zero`.
+            let both = unsafe {
+                let [low, high] = self
+                    .0
+                    .map(|sums| _mm_xor_si128(sums, _mm_srai_epi32::<31>(sums)));
+                let all = _mm_or_si128(low, high);
+                _mm_cvtsi128_si64(_mm_or_si128(all, _mm_unpackhi_epi64(all, all))).cast_unsigned()
+            };
+            both as u32 | (both >> 32) as u32
+        }
+
+        /// The low `bits` of each, up to 32, of two side by side; the last has no other.
+        #[inline(always)]
+        pub fn pairs(self, bits: u32) -> [u64; GRID / 2] {
+            // SAFETY: as for `zero`.
+            let [[a, b], [c, d]] = self.0.map(|numbers| unsafe {
+                let unused = _mm_cvtsi32_si128(32 - bits.cast_signed());
+                let clean = _mm_srl_epi32(_mm_sll_epi32(numbers, unused), unused);
+                // The upper one comes down to the lower.
+                let upper = _mm_slli_epi64::<32>(_mm_srli_epi64::<32>(clean));
+                let pairs = _mm_or_si128(_mm_xor_si128(clean, upper), _mm_srl_epi64(upper, unused));
+                let high = _mm_unpackhi_epi64(pairs, pairs);
+                [pairs, high].map(|pair| _mm_cvtsi128_si64(pair).cast_unsigned())
+            });
+            [a, b, c, d]
+        }
+
         #[inline(always)]
         pub fn into_array(self) -> [i32; ATOMS] {
             let mut all = [[0_i32; 4]; GRID / 4];
@@ -168,7 +211,7 @@ mod sse2 {
 #[cfg(not(all(target_arch = "x86_64", target_feature = "sse2")))]
 use portable::Sums;
 #[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
-use sse2::Sums;
+pub(crate) use sse2::Sums;
 
 /// sum p cos(pi k u) for k = 1..8 over at most a chunk of impulses, of which `half` gives
 /// u / 2, with the bits of a [`Sum`](crate::fixed_point::Sum). Apart, so that the loop has the
@@ -178,11 +221,16 @@ pub fn cosines(
     impulses: impl Iterator<Item = Impulse>,
     half: impl Fn(Impulse) -> Phase,
 ) -> [i32; ATOMS] {
+    sums_of(impulses, half).into_array()
+}
+
+#[inline(always)]
+fn sums_of(impulses: impl Iterator<Item = Impulse>, half: impl Fn(Impulse) -> Phase) -> Sums {
     let mut sums = Sums::zero();
     for impulse in impulses {
         sums.add(Weighted::new(half(impulse), impulse.is_on));
     }
-    sums.into_array()
+    sums
 }
 
 /// [`cosines`] of one window's pixels, with what they have in common.
@@ -192,7 +240,9 @@ pub struct Cosines {
     shift: u32,
     reciprocal: u32,
     lines: &'static Lines,
+    #[cfg(not(target_arch = "x86_64"))]
     sums: [i32; ATOMS],
+    #[cfg(not(target_arch = "x86_64"))]
     spread: u32,
 }
 
@@ -205,12 +255,15 @@ impl Cosines {
             shift,
             reciprocal,
             lines: &LINES,
+            #[cfg(not(target_arch = "x86_64"))]
             sums: [0; ATOMS],
+            #[cfg(not(target_arch = "x86_64"))]
             spread: 0,
         }
     }
 
     /// The sums of the pixel that was summed up last.
+    #[cfg(not(target_arch = "x86_64"))]
     #[inline(always)]
     #[must_use]
     pub const fn sums(&self) -> &[i32; ATOMS] {
@@ -218,6 +271,7 @@ impl Cosines {
     }
 
     /// The bits that are not copies of the sign, of any of them.
+    #[cfg(not(target_arch = "x86_64"))]
     #[inline(always)]
     #[must_use]
     pub const fn spread(&self) -> u32 {
@@ -229,13 +283,23 @@ impl Cosines {
     pub(crate) const SUMS_AT: usize = core::mem::offset_of!(Cosines, sums);
 
     /// Sums up the events of a pixel, at most [`CHUNK_EVENTS`].
-    #[cfg(not(eecvs_dsp))]
+    #[cfg(not(any(eecvs_dsp, target_arch = "x86_64")))]
     pub(crate) fn sum(&mut self, impulses: &Impulses<'_>) {
         let (shift, reciprocal) = (self.shift, self.reciprocal);
         self.sums = cosines(impulses.clone(), |impulse| {
             PhaseScale::half_of(impulse.offset_us, shift, reciprocal)
         });
         self.spread = spread(&self.sums);
+    }
+
+    /// The sums of a pixel's events, at most [`CHUNK_EVENTS`], in vectors. Apart, as [`cosines`].
+    #[cfg(target_arch = "x86_64")]
+    #[inline(never)]
+    pub(crate) fn sums_of(&self, impulses: &Impulses<'_>) -> Sums {
+        let (shift, reciprocal) = (self.shift, self.reciprocal);
+        sums_of(impulses.clone(), |impulse| {
+            PhaseScale::half_of(impulse.offset_us, shift, reciprocal)
+        })
     }
 
     /// The same bits with all sums in registers, which leaves the compiler too few for the rest: it
@@ -253,6 +317,7 @@ impl Cosines {
 }
 
 /// The bits that are not copies of the sign, of any of `sums`.
+#[cfg(not(target_arch = "x86_64"))]
 #[inline(always)]
 pub(crate) fn spread(sums: &[i32; ATOMS]) -> u32 {
     let spread = |all, sum: &i32| all | (sum ^ (sum >> 31));

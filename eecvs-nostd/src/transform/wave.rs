@@ -462,14 +462,17 @@ pub(crate) mod dsp {
 /// by one, which takes half as long as the processor's own gathering.
 #[cfg(target_arch = "x86_64")]
 #[allow(unsafe_code)]
-mod avx2 {
+pub(crate) mod avx2 {
     use core::arch::x86_64::{
         __m256i, _mm256_add_epi32, _mm256_blend_epi16, _mm256_madd_epi16, _mm256_mullo_epi32,
         _mm256_set1_epi32, _mm256_setr_epi32, _mm256_setr_epi64x, _mm256_setzero_si256,
         _mm256_srli_epi32, _mm256_storeu_si256,
     };
 
-    use super::{DISTANCE_AT, LINES, Line, ONE, QUARTER, ROW_AT, ROWS, Sum, Turn};
+    use super::{
+        CHUNK_EVENTS, DISTANCE_AT, Impulse, LINES, Line, ONE, Phase, QUARTER, ROW_AT, ROWS, Sum,
+        Turn,
+    };
 
     cpufeatures::new!(detected, "avx2");
 
@@ -524,6 +527,52 @@ mod avx2 {
                 let [a, b, c, d] = phases.map(|phase| PAIRS[row(phase)].cast_signed());
                 _mm256_setr_epi64x(a, b, c, d)
             });
+        }
+    }
+
+    /// sum p exp(-i k a) for k in 0..4 V as [`super::exponentials`], four pairs of real and imaginary
+    /// part in each vector; those of k = 0 are any.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    pub fn first_exponentials<const V: usize>(
+        impulses: impl Iterator<Item = Impulse>,
+        step: impl Fn(Impulse) -> Phase,
+    ) -> [__m256i; V] {
+        let mut sums = [_mm256_setzero_si256(); V];
+        let ramp = _mm256_setr_epi32(0, 0, 1, 1, 2, 2, 3, 3);
+        for impulse in impulses.take(CHUNK_EVENTS) {
+            let turn = Turn::new(step(impulse), impulse.is_on);
+            add_pairs(turn, ramp, &mut sums);
+        }
+        sums
+    }
+
+    /// Adds the pairs of an event.
+    #[target_feature(enable = "avx2")]
+    #[inline]
+    fn add_pairs<const V: usize>(
+        Turn { start, step }: Turn,
+        ramp: __m256i,
+        sums: &mut [__m256i; V],
+    ) {
+        let one = _mm256_set1_epi32(ONE << 16);
+        let mut at = start;
+        let mut phase = _mm256_add_epi32(
+            _mm256_set1_epi32(start.cast_signed()),
+            _mm256_mullo_epi32(_mm256_set1_epi32(step.cast_signed()), ramp),
+        );
+        let further = _mm256_set1_epi32(step.wrapping_mul(4).cast_signed());
+        for sum in sums {
+            let distances = _mm256_srli_epi32::<{ DISTANCE_AT as i32 }>(phase);
+            let weights = _mm256_blend_epi16::<0b1010_1010>(distances, one);
+            let [a, b, c, d] = core::array::from_fn(|_| {
+                let pair = PAIRS[row(at)];
+                at = at.wrapping_add(step);
+                pair.cast_signed()
+            });
+            let lines = _mm256_setr_epi64x(a, b, c, d);
+            *sum = _mm256_add_epi32(*sum, _mm256_madd_epi16(lines, weights));
+            phase = _mm256_add_epi32(phase, further);
         }
     }
 
