@@ -349,7 +349,9 @@ impl Panel<'_> {
             if row.bits_per_event < axes.bits.1 {
                 let at = place(&(row.bits_per_event, error));
                 panel.draw(&TriangleMarker::new(at, 5 * scale, BROWN.filled()))?;
-                let at = (at.0 + 6 * scale, at.1 - 12 * scale);
+                // To its left: arrays stand near the right border.
+                let width = 8 * name.len() as i32 * scale;
+                let at = (at.0 - 6 * scale - width, at.1 - 4 * scale);
                 panel.draw_text(name, &text(10, scale).color(&BROWN), at)?;
                 continue;
             }

@@ -126,10 +126,12 @@ fn find<'r>(rows: &'r [Row], recording: &str, codec: &str, setting: &str) -> Opt
     rows.iter().find(is_it)
 }
 
-/// The document's marks and what belongs between them, by the document's name; the table is `None`
-/// where a row is missing.
+/// What makes a document's text of the rows; `None` where one is missing.
+pub type Table = fn(&[Row]) -> Option<String>;
+
+/// The document's marks and what belongs between them, by the document's name.
 #[must_use]
-pub fn of(document: &Path) -> (Marks, fn(&[Row]) -> Option<String>) {
+pub fn of(document: &Path) -> (Marks, Table) {
     if document.file_name().is_some_and(|name| name == "README.md") {
         (README_MARKS, readme)
     } else {

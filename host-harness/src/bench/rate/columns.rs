@@ -39,9 +39,15 @@ pub fn write(sensor: Sensor, events: &[Event]) -> Result<Vec<u8>> {
         steps.push(step.context("a step of time that 32 bits do not hold")?);
         before_us = event.t_us;
     }
-    shuffle(&mut bytes, steps.iter().map(|step| step.to_le_bytes()));
-    shuffle(&mut bytes, events.iter().map(|event| event.x.to_le_bytes()));
-    shuffle(&mut bytes, events.iter().map(|event| event.y.to_le_bytes()));
+    shuffle(&mut bytes, &steps.iter().map(|step| step.to_le_bytes()));
+    shuffle(
+        &mut bytes,
+        &events.iter().map(|event| event.x.to_le_bytes()),
+    );
+    shuffle(
+        &mut bytes,
+        &events.iter().map(|event| event.y.to_le_bytes()),
+    );
     bytes.extend(
         events
             .iter()
@@ -97,7 +103,7 @@ pub fn read(bytes: &[u8]) -> Result<(Sensor, Vec<Event>)> {
 }
 
 /// Appends the first byte of every value, then every second one, and so on.
-fn shuffle<const N: usize>(bytes: &mut Vec<u8>, values: impl Iterator<Item = [u8; N]> + Clone) {
+fn shuffle<const N: usize>(bytes: &mut Vec<u8>, values: &(impl Iterator<Item = [u8; N]> + Clone)) {
     for place in 0..N {
         bytes.extend(values.clone().filter_map(|value| value.get(place).copied()));
     }
