@@ -14,6 +14,10 @@ fn page(name: &str, command: &str, table: &str) -> String {
 
 const KERNELS: [&str; 2] = ["host kernels", "eecvs bench --save README.md"];
 const SKIPS: [&str; 2] = ["skips", "eecvs bench --skips --save METHODOLOGY.md"];
+const RATES: [&str; 2] = [
+    "rate and distortion",
+    "eecvs bench --rate --save METHODOLOGY.md",
+];
 const DEMO: [&str; 2] = ["demo", "eecvs demo --save README.md"];
 
 #[test]
@@ -68,7 +72,12 @@ fn the_demo_writes_its_table_and_nothing_else() {
 fn a_document_without_its_place_is_refused_before_anything_runs() {
     let folder = Folder::new();
     folder.write("none.md", "# Page\n");
-    for ([name, command], line) in [(KERNELS, "bench"), (SKIPS, "bench --skips"), (DEMO, "demo")] {
+    for ([name, command], line) in [
+        (KERNELS, "bench"),
+        (SKIPS, "bench --skips"),
+        (RATES, "bench --rate"),
+        (DEMO, "demo"),
+    ] {
         folder
             .eecvs(&format!("{line} --save missing.md"))
             .fails(&["missing.md", "read"]);
@@ -98,6 +107,7 @@ fn only_recordings_and_whole_runs_are_saved() {
     for line in [
         "bench --quick",
         "bench --skips --quick",
+        "bench --rate --quick",
         "bench --scaling",
         "bench --errors",
         "demo --scene outdoor-dark",
@@ -106,4 +116,17 @@ fn only_recordings_and_whole_runs_are_saved() {
         let outcome = folder.eecvs(&format!("{line} --save page.md"));
         assert_eq!(outcome.status, Some(2), "{outcome}");
     }
+}
+
+#[test]
+#[cfg(not(feature = "zstd"))]
+fn rates_are_saved_with_every_peer_alone() {
+    let folder = Folder::new();
+    let [name, command] = RATES;
+    let text = page(name, command, "old\n");
+    folder.write("page.md", &text);
+    folder
+        .eecvs("bench --rate --save page.md")
+        .fails(&["page.md", "--features zstd"]);
+    assert_eq!(folder.bytes("page.md"), text.as_bytes());
 }

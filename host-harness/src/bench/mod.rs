@@ -17,6 +17,7 @@ pub mod kernel_image;
 pub mod mcu;
 pub mod moderate;
 pub mod peers;
+pub mod rate;
 pub mod scaling;
 pub mod skips;
 pub mod window;

@@ -1,5 +1,5 @@
 //! `eecvs bench`: run time against error of every kernel, its error alone, how encoding scales, what
-//! skipping saves.
+//! skipping saves, rate against distortion.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
 
+use super::bench_rate::Rate;
 use super::output::{print, print_json};
 use crate::bench::cut::{self, Cut};
 use crate::bench::kernel_image::Images;
@@ -17,7 +18,7 @@ use crate::bench::{
 };
 use crate::progress::Progress;
 use crate::report::marks::Marks;
-use crate::report::{error_chart, kernel_chart, kernel_table, skip_table};
+use crate::report::{error_chart, kernel_chart, kernel_table, rate_table, skip_table};
 
 /// Where recordings are looked for unless a folder is given.
 const RECORDINGS: &str = "../shared/data";
@@ -73,10 +74,22 @@ pub struct Bench {
     #[arg(long, conflicts_with = "scaling")]
     skips: bool,
 
+    /// Instead: bits per event against distortion of both modes and of their peers (event files, xz
+    /// and zstd, TORE volumes, voxel grids), and a chart; fails where what is lossless does not come
+    /// back. The rows of zstd need a program built with --features zstd
+    #[arg(long, conflicts_with_all = ["scaling", "recordings", "skips", "errors", "mcu"])]
+    rate: bool,
+
+    /// Recordings for --rate, or folders of them, two levels deep
+    /// [default: ../shared/data where it is, else emulated scenes]
+    #[arg(long, value_name = "PATH", num_args = 1.., requires = "rate")]
+    data: Vec<PathBuf>,
+
     /// Also write the table into a document, between the lines that name this command: README.md,
-    /// with --skips METHODOLOGY.md; of the recordings alone
+    /// with --skips METHODOLOGY.md; of the recordings alone. With --rate either, or both, of
+    /// whatever was measured
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "scaling", "errors"])]
-    save: Option<PathBuf>,
+    save: Vec<PathBuf>,
 
     /// Print one JSON array of rows instead of the table
     #[arg(long)]
@@ -90,14 +103,17 @@ impl Bench {
     /// A recording that cannot be read, a folder that cannot be written, a kernel that is not
     /// within its documented error.
     pub fn run(self) -> Result<()> {
-        if let Some(document) = &self.save {
-            self.marks().check(document)?;
+        for document in &self.save {
+            self.marks(document).check(document)?;
         }
         if self.scaling {
             return self.scale();
         }
         if self.skips {
             return self.skip();
+        }
+        if self.rate {
+            return self.rate().run();
         }
         fs::create_dir_all(&self.output)
             .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
@@ -133,6 +149,17 @@ impl Bench {
         ))
     }
 
+    fn rate(&self) -> Rate<'_> {
+        Rate {
+            data: &self.data,
+            default_folder: Path::new(RECORDINGS),
+            output: &self.output,
+            quick: self.quick,
+            json: self.json,
+            save: &self.save,
+        }
+    }
+
     fn skip(&self) -> Result<()> {
         let folder = self.recordings.as_deref();
         let mut sources = skips::source::recordings(folder.unwrap_or(Path::new(RECORDINGS)))?;
@@ -160,8 +187,10 @@ impl Bench {
     }
 
     /// Where the document has the table.
-    const fn marks(&self) -> Marks {
-        if self.skips {
+    fn marks(&self, document: &Path) -> Marks {
+        if self.rate {
+            rate_table::of(document).0
+        } else if self.skips {
             skip_table::MARKS
         } else {
             kernel_table::MARKS
@@ -170,7 +199,7 @@ impl Bench {
 
     /// Says so before anything is measured where the document's table would not be of what it is of.
     fn can_save(&self, has_recordings: bool) -> Result<()> {
-        if let Some(document) = &self.save {
+        if let Some(document) = self.save.first() {
             ensure!(
                 has_recordings,
                 "{}: its table is of recordings, which are not all in {}: --recordings names their \
@@ -187,11 +216,14 @@ impl Bench {
 
     /// Writes the table into the document, where there is one.
     fn save(&self, table: Option<String>) -> Result<()> {
-        let Some(document) = &self.save else {
+        if self.save.is_empty() {
             return Ok(());
-        };
+        }
         let table = table.context("a row of the table was not measured: please report this")?;
-        self.marks().write(document, &table)
+        for document in &self.save {
+            self.marks(document).write(document, &table)?;
+        }
+        Ok(())
     }
 
     /// What is measured.
@@ -298,7 +330,7 @@ impl Bench {
     }
 }
 
-fn write(path: &Path, text: &str) -> Result<()> {
+pub(super) fn write(path: &Path, text: &str) -> Result<()> {
     fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))
 }
 

@@ -1,6 +1,7 @@
 //! Subcommands of `eecvs`, one file each, their flags beside them.
 
 pub mod bench;
+mod bench_rate;
 pub mod calibrate;
 pub mod compare;
 pub mod convert;

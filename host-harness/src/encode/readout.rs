@@ -32,16 +32,32 @@ const PEAK_MIN: f64 = 0.4;
 /// that knows how the sensor does.
 #[must_use]
 pub fn look(reader: Box<dyn EventReader>, config: Config) -> (Box<dyn EventReader>, Config) {
-    match config.mode {
+    if !may_scan(config.mode) {
+        return (reader, config);
+    }
+    let ahead = Ahead::new(reader, EVENTS);
+    let config = look_at(ahead.events(), config);
+    (Box::new(ahead), config)
+}
+
+/// As [`look`], of events in memory.
+#[must_use]
+pub fn look_at(events: &[Event], config: Config) -> Config {
+    let sensor = config.window.sensor;
+    let readout = may_scan(config.mode)
+        .then(|| find(events, sensor))
+        .flatten();
+    Config { readout, ..config }
+}
+
+const fn may_scan(mode: Mode) -> bool {
+    matches!(
+        mode,
         Mode::Hybrid(Hybrid {
             coder: Coder::Dense,
             fidelity: Fidelity::Lossless | Fidelity::ToleranceUs(_),
-        }) => {}
-        _ => return (reader, config),
-    }
-    let ahead = Ahead::new(reader, EVENTS);
-    let readout = find(ahead.events(), ahead.sensor());
-    (Box::new(ahead), Config { readout, ..config })
+        })
+    )
 }
 
 /// How the sensor of these events scans, if it does.

@@ -1,4 +1,4 @@
-//! Writer of AEDAT 4.0 files: one event stream, LZ4 frames with checksums, packet table.
+//! Writer of AEDAT 4.0 files: one event stream, compressed frames (LZ4 with checksums), packet table.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -20,6 +20,33 @@ const STREAM: i32 = 0;
 /// Where the position of the packet table stands in the file.
 const TABLE_POSITION_AT: u64 = MAGIC.len() as u64 + 40;
 
+/// How packets are compressed.
+#[derive(Debug, Clone, Copy)]
+pub struct Compression {
+    /// The format's number of it.
+    pub code: i32,
+    /// The format's name of it.
+    pub name: &'static str,
+    /// Bytes to one frame.
+    pub compress: fn(&[u8]) -> anyhow::Result<Vec<u8>>,
+}
+
+impl Compression {
+    /// LZ4 with checksums.
+    pub const LZ4: Self = Self {
+        code: 1,
+        name: "LZ4",
+        compress: lz4,
+    };
+}
+
+fn lz4(bytes: &[u8]) -> anyhow::Result<Vec<u8>> {
+    let info = FrameInfo::new().content_checksum(true);
+    let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
+    encoder.write_all(bytes).context("LZ4")?;
+    encoder.finish().context("LZ4")
+}
+
 /// A packet in the packet table.
 struct Packet {
     /// Position of its content, after the 8 bytes of its header.
@@ -37,6 +64,7 @@ pub struct Aedat4Writer {
     file: BufWriter<File>,
     name: String,
     sensor: Sensor,
+    compression: Compression,
     position: u64,
     /// Events of the packet being filled, as they will be stored.
     pending: Vec<u8>,
@@ -47,16 +75,29 @@ pub struct Aedat4Writer {
 }
 
 impl Aedat4Writer {
-    /// Creates the file.
+    /// Creates the file, LZ4 inside.
     ///
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
+        Self::with_compression(path, sensor, Compression::LZ4)
+    }
+
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn with_compression(
+        path: &Path,
+        sensor: Sensor,
+        compression: Compression,
+    ) -> anyhow::Result<Self> {
         let (file, name) = create_file(path)?;
         let mut writer = Self {
             file,
             name,
             sensor,
+            compression,
             position: 0,
             pending: Vec::with_capacity(PACKET_EVENTS * EVENT_BYTES),
             first_us: i64::MAX,
@@ -65,7 +106,7 @@ impl Aedat4Writer {
             events: 0,
         };
         writer.put(MAGIC)?;
-        writer.put(&io_header(sensor))?;
+        writer.put(&io_header(sensor, compression))?;
         Ok(writer)
     }
 
@@ -77,13 +118,8 @@ impl Aedat4Writer {
     }
 
     fn compress(&self, bytes: &[u8]) -> anyhow::Result<Vec<u8>> {
-        let info = FrameInfo::new().content_checksum(true);
-        let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
-        let written = encoder.write_all(bytes);
-        written.with_context(|| format!("{}: LZ4 compression failed", self.name))?;
-        encoder
-            .finish()
-            .with_context(|| format!("{}: LZ4 compression failed", self.name))
+        let compressed = (self.compression.compress)(bytes);
+        compressed.with_context(|| format!("{}: compression failed", self.name))
     }
 
     fn close_packet(&mut self) -> anyhow::Result<()> {
@@ -155,13 +191,14 @@ impl EventWriter for Aedat4Writer {
 /// The `IOHE` table with its size, packet table position -1: with no table yet, an interrupted
 /// file still reads. A `FlatBuffer` may be laid out in any order that its offsets allow; scalars
 /// of 8 bytes stand at multiples of 8 from the start of the size.
-fn io_header(sensor: Sensor) -> Vec<u8> {
+fn io_header(sensor: Sensor, compression: Compression) -> Vec<u8> {
     let Sensor { width, height } = sensor;
+    let Compression { code, name, .. } = compression;
     let xml = format!(
         r#"<dv version="2.0">
     <node name="outInfo" path="/mainloop/Recorder/outInfo/">
         <node name="{STREAM}" path="/mainloop/Recorder/outInfo/{STREAM}/">
-            <attr key="compression" type="string">LZ4</attr>
+            <attr key="compression" type="string">{name}</attr>
             <attr key="originalModuleName" type="string">eecvs</attr>
             <attr key="originalOutputName" type="string">events</attr>
             <attr key="typeDescription" type="string">Array of events (polarity ON/OFF).</attr>
@@ -182,9 +219,9 @@ fn io_header(sensor: Sensor) -> Vec<u8> {
     for value in [10_u16, 24, 4, 12, 8] {
         bytes.extend_from_slice(&value.to_le_bytes());
     }
-    // Table at 28: back to its vtable, compression LZ4, description 16 bytes on, position -1.
+    // Table at 28: back to its vtable, compression, description 16 bytes on, position -1.
     bytes.extend_from_slice(&10_i32.to_le_bytes());
-    bytes.extend_from_slice(&1_i32.to_le_bytes());
+    bytes.extend_from_slice(&code.to_le_bytes());
     bytes.extend_from_slice(&16_u32.to_le_bytes());
     bytes.extend_from_slice(&(-1_i64).to_le_bytes());
     bytes.extend_from_slice(&[0; 4]);

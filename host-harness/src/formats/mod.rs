@@ -33,7 +33,7 @@ use eecvs_nostd::{Event, Sensor};
 
 use aedat2::{Aedat2Reader, Aedat2Writer};
 use aedat4::Aedat4Reader;
-pub use aedat4_writer::Aedat4Writer;
+pub use aedat4_writer::{Aedat4Writer, Compression};
 use evt2::{Evt2Reader, Evt2Writer};
 use evt3::{Evt3Reader, Evt3Writer};
 use input::{Input, ReadSeek};

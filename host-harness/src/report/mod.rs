@@ -9,4 +9,6 @@ pub mod kernel_table;
 pub mod marks;
 pub mod picture;
 pub mod picture_backend;
+pub mod rate_chart;
+pub mod rate_table;
 pub mod skip_table;

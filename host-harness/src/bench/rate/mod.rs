@@ -1,0 +1,303 @@
+//! Rate against distortion: the codec in both modes, and its peers.
+//!
+//! ```text
+//! recording -> codec | peer -> bytes -> bits per event
+//!                                -> decoder -> promise checked -> metrics, box volume -> row
+//! ```
+
+pub mod check;
+pub mod columns;
+pub mod dense_array;
+pub mod files;
+pub mod lossless;
+pub mod ours;
+pub mod source;
+pub mod squeeze;
+pub mod tore;
+pub mod volume;
+pub mod voxel;
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use eecvs_nostd::{Coder, Event, Fidelity, Hybrid, Transform};
+use serde::Serialize;
+
+use crate::metrics::{Comparison, compare};
+use check::{Promise, check};
+use source::{Memory, Source};
+use volume::Volume;
+
+/// T.
+pub const WINDOW_US: u32 = 32_768;
+
+/// How much is measured.
+#[derive(Debug, Clone, Copy)]
+pub struct Effort {
+    /// Length of an emulated scene.
+    pub scene_us: u64,
+    /// Tolerances of times, in us.
+    pub tolerances_us: &'static [u32],
+    /// B of mode `hybrid`.
+    pub bins: &'static [u16],
+    /// M of mode `transform`.
+    pub m: &'static [u8],
+    /// B of voxel grids.
+    pub voxel_bins: &'static [usize],
+}
+
+impl Effort {
+    /// For figures.
+    pub const FULL: Self = Self {
+        scene_us: 1_000_000,
+        tolerances_us: &[5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560, 5120],
+        bins: &[4, 8, 16, 32],
+        m: &[2, 4, 8, 16, 24, 32, 64],
+        voxel_bins: &[5, 8],
+    };
+    /// For a look whether everything works.
+    pub const QUICK: Self = Self {
+        scene_us: 100_000,
+        tolerances_us: &[40, 640],
+        bins: &[8],
+        m: &[8, 32],
+        voxel_bins: &[8],
+    };
+
+    /// Rows of a recording: times that [`measure`] calls `progress` for it.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        let hybrid = 2 * (1 + self.tolerances_us.len() + self.bins.len());
+        let transform = Transform::ALL.len() * self.m.len();
+        let arrays = tore::Value::ALL.len() + voxel::Value::ALL.len() * self.voxel_bins.len();
+        hybrid + transform + lossless::peers().len() + arrays
+    }
+}
+
+/// One point; the fields are its JSON keys. `None` where the metric does not apply.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// Its name.
+    pub recording: String,
+    /// `hybrid-dense`, `hybrid-fast`, `transform-dct`, ..., or a peer's name.
+    pub codec: &'static str,
+    /// `lossless`, `50 us`, `8 bins`, `M = 16`; type and bins of an array.
+    pub setting: String,
+    /// 8 * bytes of the files / events.
+    pub bits_per_event: f64,
+    /// As `eecvs compare` has it.
+    pub emd_pixel_us: Option<f64>,
+    /// As `eecvs compare` has it.
+    pub mse: Option<f64>,
+    /// As `eecvs compare` has it.
+    pub ssim: Option<f64>,
+    /// Normalised error of the box volume of the decoded events, or of a voxel grid of 8 bins.
+    pub volume_nmse: Option<f64>,
+    /// The same of the box volume straight from coefficients; `None` for all but mode `transform`.
+    pub coefficients_nmse: Option<f64>,
+    /// Spent encoding, one thread, one run.
+    pub seconds: f64,
+}
+
+/// The name of a coder's rows.
+#[must_use]
+pub const fn coder_name(coder: Coder) -> &'static str {
+    match coder {
+        Coder::Dense => "hybrid-dense",
+        Coder::Fast => "hybrid-fast",
+    }
+}
+
+/// The name of a transform's rows.
+#[must_use]
+pub const fn transform_name(transform: Transform) -> &'static str {
+    match transform {
+        Transform::Dct => "transform-dct",
+        Transform::Dtft => "transform-dtft",
+        Transform::Dwt => "transform-dwt",
+    }
+}
+
+/// Measures everything on a recording; `progress` is called after each row.
+///
+/// # Errors
+/// A codec or a peer that does not give back what it promises; the message names it.
+pub fn measure(source: &Source, effort: Effort, progress: &mut dyn FnMut()) -> Result<Vec<Row>> {
+    let mut subject = Subject {
+        source,
+        volume: source.grid().volume(&source.events),
+        rows: Vec::new(),
+        progress,
+    };
+    for coder in [Coder::Dense, Coder::Fast] {
+        subject.hybrid(coder, Fidelity::Lossless)?;
+        for tolerance_us in effort.tolerances_us {
+            subject.hybrid(coder, Fidelity::ToleranceUs(*tolerance_us))?;
+        }
+        for bins in effort.bins {
+            subject.hybrid(coder, Fidelity::Bins(*bins))?;
+        }
+    }
+    for transform in Transform::ALL {
+        for m in effort.m {
+            subject.transform(transform, *m)?;
+        }
+    }
+    for peer in lossless::peers() {
+        subject.peer(peer)?;
+    }
+    for stored in tore::Value::ALL {
+        subject.tore(stored)?;
+    }
+    for bins in effort.voxel_bins {
+        for stored in voxel::Value::ALL {
+            subject.voxel(*bins, stored)?;
+        }
+    }
+    Ok(subject.rows)
+}
+
+/// A recording being measured.
+struct Subject<'s> {
+    source: &'s Source,
+    volume: Volume,
+    rows: Vec<Row>,
+    progress: &'s mut dyn FnMut(),
+}
+
+impl Subject<'_> {
+    fn hybrid(&mut self, coder: Coder, fidelity: Fidelity) -> Result<()> {
+        let (promise, setting) = match fidelity {
+            Fidelity::Lossless => (Promise::Lossless, "lossless".to_owned()),
+            Fidelity::ToleranceUs(us) => (Promise::Within(us.into()), format!("{us} us")),
+            Fidelity::Bins(bins) => (Promise::Counts, format!("{bins} bins")),
+        };
+        let codec = coder_name(coder);
+        let measured = || -> Result<Row> {
+            let decoded = ours::hybrid(self.source, Hybrid { coder, fidelity })?;
+            let row = self.row(codec, &setting, decoded.bytes, decoded.seconds);
+            self.promised(row, promise, &decoded.events)
+        };
+        let row = measured().with_context(|| self.name(codec, &setting))?;
+        self.push(row);
+        Ok(())
+    }
+
+    fn transform(&mut self, transform: Transform, m: u8) -> Result<()> {
+        let (codec, setting) = (transform_name(transform), format!("M = {m}"));
+        let measured = || -> Result<Row> {
+            let decoded = ours::transform(self.source, transform, m)?;
+            let row = self.row(codec, &setting, decoded.bytes, decoded.seconds);
+            let row = self.promised(row, Promise::Counts, &decoded.events)?;
+            let volume = decoded.coefficients.as_ref();
+            Ok(Row {
+                coefficients_nmse: volume.and_then(|volume| self.volume.nmse(volume)),
+                ..row
+            })
+        };
+        let row = measured().with_context(|| self.name(codec, &setting))?;
+        self.push(row);
+        Ok(())
+    }
+
+    fn peer(&mut self, peer: lossless::Peer) -> Result<()> {
+        let (codec, setting) = (peer.name(), "lossless");
+        let measured = || -> Result<Row> {
+            let (bytes, seconds, events) = peer.round_trip(self.source)?;
+            let row = self.row(codec, setting, bytes, seconds);
+            self.promised(row, Promise::Lossless, &events)
+        };
+        let row = measured().with_context(|| self.name(codec, setting))?;
+        self.push(row);
+        Ok(())
+    }
+
+    fn tore(&mut self, stored: tore::Value) -> Result<()> {
+        let (bytes, seconds, events) = tore::round_trip(self.source, stored);
+        let row = self.row("tore", stored.name(), bytes, seconds);
+        let row = self.distorted(row, &events)?;
+        self.push(row);
+        Ok(())
+    }
+
+    fn voxel(&mut self, bins: usize, stored: voxel::Value) -> Result<()> {
+        let decoded = voxel::round_trip(self.source, bins, stored);
+        let setting = format!("{bins} bins, {}", stored.name());
+        let row = self.row("voxel", &setting, decoded.bytes, decoded.seconds);
+        let found = self.compare(&decoded.frames)?;
+        let volume = decoded.volume.as_ref();
+        self.push(Row {
+            mse: Some(found.mse),
+            ssim: Some(found.ssim),
+            volume_nmse: volume.and_then(|volume| self.volume.nmse(volume)),
+            ..row
+        });
+        Ok(())
+    }
+
+    fn push(&mut self, row: Row) {
+        self.rows.push(row);
+        (self.progress)();
+    }
+
+    fn name(&self, codec: &str, setting: &str) -> String {
+        format!("{}, {codec}, {setting}", self.source.name)
+    }
+
+    /// Without any metric.
+    fn row(&self, codec: &'static str, setting: &str, bytes: usize, seconds: f64) -> Row {
+        Row {
+            recording: self.source.name.clone(),
+            codec,
+            setting: setting.to_owned(),
+            bits_per_event: 8.0 * bytes as f64 / self.source.events.len() as f64,
+            emd_pixel_us: None,
+            mse: None,
+            ssim: None,
+            volume_nmse: None,
+            coefficients_nmse: None,
+            seconds,
+        }
+    }
+
+    /// With the metrics of events that must keep a promise. What is lossless is not compared again:
+    /// it is 0.
+    fn promised(&self, row: Row, promise: Promise, events: &[Event]) -> Result<Row> {
+        check(promise, &self.source.events, events)?;
+        if promise == Promise::Lossless {
+            return Ok(Row {
+                emd_pixel_us: Some(0.0),
+                mse: Some(0.0),
+                ssim: Some(1.0),
+                volume_nmse: Some(0.0),
+                ..row
+            });
+        }
+        self.distorted(row, events)
+    }
+
+    fn distorted(&self, row: Row, events: &[Event]) -> Result<Row> {
+        let found = self.compare(events)?;
+        let volume = self.source.grid().volume(events);
+        Ok(Row {
+            emd_pixel_us: Some(found.emd_pixel_us),
+            mse: Some(found.mse),
+            ssim: Some(found.ssim),
+            volume_nmse: self.volume.nmse(&volume),
+            ..row
+        })
+    }
+
+    fn compare(&self, events: &[Event]) -> Result<Comparison> {
+        let (sensor, events) = (self.source.sensor, Arc::from(events));
+        compare(
+            &|| Ok(Box::new(self.source.reader())),
+            &|| Ok(Box::new(Memory::new(sensor, Arc::clone(&events)))),
+            WINDOW_US.into(),
+            &mut |_| (),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests;
