@@ -56,7 +56,15 @@ pub fn times(equations: &Equations) -> Vec<f64> {
         times.extend(quantiles(&[1.0], off));
         return times;
     }
-    let highest = usize::from(equations.ks.iter().take(rows).last().copied().unwrap_or(0));
+    let highest = usize::from(
+        equations
+            .ks
+            .iter()
+            .take(rows)
+            .next_back()
+            .copied()
+            .unwrap_or(0),
+    );
     let points = (POINTS_PER_PERIOD * (highest + 1)).clamp(64, POINTS_MAX);
     let mut atoms = DMatrix::zeros(points, rows);
     for j in 0..points {

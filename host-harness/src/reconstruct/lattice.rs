@@ -180,8 +180,8 @@ impl Candidate {
             atoms: (0..offsets.len()).map(|_| Default::default()).collect(),
             sums: vec![0; lattice.rooms.len()],
         };
-        for i in 0..offsets.len() {
-            candidate.place(lattice, i, offsets[i]);
+        for (i, offset_us) in offsets.iter().enumerate() {
+            candidate.place(lattice, i, *offset_us);
         }
         Some(candidate)
     }

@@ -8,7 +8,7 @@
 //! matrix of rank n, whose n dominant eigenvectors U span V's columns. U without its last row times
 //! Phi is U without its first row, in the least squares; the eigenvalues of Phi are the z_i
 //! (Hua, Sarkar: IEEE Trans. ASSP 38 (1990); Roy, Kailath: ESPRIT, IEEE Trans. ASSP 37 (1989)).
-//! Which of them are ON is the assignment with the least residual.
+//! Which of them are ON is the assignment with the least residual; of many, the largest amplitudes.
 //!
 //! *Newton's identities.* exp(-sum_(k>=1) c_k x^k / k) = prod_on (1 - z x) / prod_off (1 - z x):
 //! for events of one polarity a polynomial whose roots are their times, which needs k = 1..=n alone

@@ -116,10 +116,8 @@ impl Peaks {
             times.push(u);
             partial.signs.push(sign);
             least_squares(&partial, &mut times, PARTIAL_ROUNDS, work);
-            (
-                pursuit.re.clone_from(&whole.0),
-                pursuit.im.clone_from(&whole.1),
-            );
+            pursuit.re.clone_from(&whole.0);
+            pursuit.im.clone_from(&whole.1);
             for (u, sign) in times.iter().zip(&partial.signs) {
                 pursuit.add((*u, *sign), -1.0);
             }

@@ -346,10 +346,7 @@ mod tests {
         assert!(train[0].0.abs_diff(train[1].0) <= 2, "{train:?}");
         // Beside a third event that can be told.
         let (train, _) = recovered(&header, &[(9000, true), (20_000, true), (9000, false)]);
-        assert!(
-            train.iter().any(|event| *event == (20_000, true)),
-            "{train:?}"
-        );
+        assert!(train.contains(&(20_000, true)), "{train:?}");
     }
 
     #[test]
