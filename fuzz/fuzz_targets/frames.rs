@@ -4,7 +4,7 @@
 
 use host_harness::decode::WindowReader;
 use host_harness::frame_file::FrameReader;
-use host_harness::reconstruct::events::EventDecoder;
+use host_harness::reconstruct::events::{EventDecoder, Finder};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {
@@ -19,7 +19,9 @@ fuzz_target!(|data: &[u8]| {
         if events > 1000 || header.grid > 64 {
             continue;
         }
-        let decoder = EventDecoder::new(header.transform, header.grid, header.m);
-        assert_eq!(decoder.window(&window).len() as u64, events);
+        for finder in [Finder::Exact, Finder::Peaks] {
+            let decoder = EventDecoder::new(header.transform, header.grid, header.m, finder);
+            assert_eq!(decoder.window(&window).len() as u64, events);
+        }
     }
 });

@@ -4,13 +4,14 @@ use std::io::Read;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use eecvs_nostd::{Mode, Sensor};
+use eecvs_nostd::{Header, Mode, Sensor};
 use serde::Serialize;
 
 use crate::formats::EventWriter;
 use crate::frame_file::{FrameReader, LinkReport};
-use crate::reconstruct::events::EventDecoder;
+use crate::reconstruct::events::{EventDecoder, Finder};
 use crate::reconstruct::hybrid::{HybridDecoder, Refused};
+use crate::reconstruct::recover::Confidences;
 use crate::reconstruct::{DecodedWindow, pixels};
 
 /// Reads the windows of a stream of frames, one at a time.
@@ -143,6 +144,9 @@ pub struct DecodeSummary {
     /// What the frames say of other events.
     #[serde(flatten)]
     pub counts: FrameCounts,
+    /// How sure the times are of pixels that came as coefficients.
+    #[serde(flatten)]
+    pub confidences: Confidences,
     /// What was damaged or lost.
     #[serde(flatten)]
     pub link: LinkReport,
@@ -153,12 +157,13 @@ pub struct DecodeSummary {
 }
 
 /// Decodes windows into events; `create` opens the output once the sensor is known, `each` sees
-/// every window, and `progress` gets the events so far.
+/// every window, and `progress` gets the events so far. `finder` is for windows of coefficients.
 ///
 /// # Errors
 /// Reading or writing.
 pub fn decode<R: Read>(
     windows: &mut WindowReader<R>,
+    finder: Finder,
     create: &mut dyn FnMut(Sensor) -> Result<Option<Box<dyn EventWriter>>>,
     each: &mut dyn FnMut(u64, &DecodedWindow) -> Result<()>,
     progress: &mut dyn FnMut(u64),
@@ -179,10 +184,16 @@ pub fn decode<R: Read>(
             let started = Instant::now();
             let decoder = match &mut decoder {
                 Some(decoder) if decoder.fits(&window) => decoder,
-                _ => decoder.insert(EventDecoder::new(header.transform, header.grid, header.m)),
+                _ => {
+                    let Header {
+                        transform, grid, m, ..
+                    } = *header;
+                    decoder.insert(EventDecoder::new(transform, grid, m, finder))
+                }
             };
-            let events = decoder.window(&window);
+            let (events, confidences) = decoder.window_with_confidence(&window);
             decoding += started.elapsed();
+            summary.confidences.add(confidences);
             output.write(&events)?;
             summary.events += events.len() as u64;
         }

@@ -4,7 +4,7 @@ use eecvs_nostd::evt2::{Evt2Decoder, Evt2Encoder, Word};
 use eecvs_nostd::transform::{M_MAX, Transform};
 use eecvs_nostd::{Config, Event, Polarity, Push, Sensor};
 use host_harness::encode::HostStorage;
-use host_harness::reconstruct::events::EventDecoder;
+use host_harness::reconstruct::events::{EventDecoder, Finder};
 use host_harness::reconstruct::{DecodedWindow, pixels};
 use strategies::{encode, parse, plain_config};
 
@@ -222,7 +222,7 @@ fn decoded_times_are_exact_in_any_epoch() {
                 events: vec![],
             };
             let header = frame.header;
-            let decoder = EventDecoder::new(transform, header.grid, header.m);
+            let decoder = EventDecoder::new(transform, header.grid, header.m, Finder::Exact);
             let mut found = decoder.window(&window);
             found.sort_by_key(|event| event.x);
             assert_eq!(found.len(), events.len());

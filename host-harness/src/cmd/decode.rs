@@ -13,6 +13,7 @@ use crate::npy::write_planes;
 use crate::output_file::{refuse_same_file, remove_partial};
 use crate::progress::Progress;
 use crate::reconstruct::bins::Bins;
+use crate::reconstruct::events::Finder;
 use crate::reconstruct::{DecodedWindow, volume};
 
 /// Decode frames into events, a coefficient volume or a volume of time bins
@@ -25,6 +26,10 @@ pub struct Decode {
     /// Recording to write; the extension names the format
     #[arg(short, long, value_name = "OUT", required_unless_present = "volume")]
     output: Option<PathBuf>,
+
+    /// How event times are found in the coefficients of the DCT and the DTFT (mode transform)
+    #[arg(long, value_enum, value_name = "HOW", default_value = "exact")]
+    events: Finder,
 
     /// Write the float32 C x H x W volume of one window: its coefficients, or with --bins its
     /// inverse transform
@@ -67,6 +72,7 @@ impl Decode {
         let progress = Progress::new("events");
         let summary = decode(
             &mut windows,
+            self.events,
             &mut |sensor| match &self.output {
                 Some(path) => {
                     let writer = formats::create(path, sensor)?;
@@ -146,6 +152,15 @@ fn table(summary: &DecodeSummary) -> String {
         (
             "  left out by the rate control",
             summary.counts.events_thinned.to_string(),
+        ),
+        ("pixels exact", summary.confidences.pixels_exact.to_string()),
+        (
+            "  consistent",
+            summary.confidences.pixels_consistent.to_string(),
+        ),
+        (
+            "  approximate",
+            summary.confidences.pixels_approximate.to_string(),
         ),
         ("frames lost", summary.link.frames_lost.to_string()),
         ("damaged bytes", summary.link.damaged_bytes.to_string()),

@@ -22,6 +22,7 @@ use crate::formats::{self, EventReader};
 use crate::frame_file::FrameReader;
 use crate::metrics;
 use crate::progress::Progress;
+use crate::reconstruct::events::Finder;
 use crate::report::chart;
 use crate::report::demo::{MARKS, Page, Row, document, table};
 use crate::report::frame_picture::{FrameStyle, FrameSums, comparison_strip};
@@ -225,6 +226,7 @@ impl Run {
         let decoded = self.decoded(name);
         decode(
             &mut WindowReader::new(FrameReader::open(&frames)?),
+            Finder::Exact,
             &mut |sensor| formats::create(&decoded, sensor).map(Some),
             &mut |_, _| Ok(()),
             &mut show,

@@ -1,11 +1,20 @@
 //! Descriptors back to coefficients, volumes and events.
 
 pub mod bins;
+pub mod crowd;
+pub mod equations;
 pub mod events;
 pub mod hybrid;
+pub mod lattice;
 pub mod order;
+pub mod prony;
+pub mod pursuit;
+pub mod recover;
+pub mod refine;
 #[cfg(test)]
 mod test_header;
+#[cfg(test)]
+mod test_pixel;
 pub mod volume;
 
 use eecvs_nostd::{Descriptor, Event, Frame, Header, UnpackError};

@@ -14,7 +14,7 @@ use crate::decode::WindowReader;
 use crate::encode::{Limits, encode, readout};
 use crate::frame_file::FrameReader;
 use crate::reconstruct::bins::Bins;
-use crate::reconstruct::events::EventDecoder;
+use crate::reconstruct::events::{EventDecoder, Finder};
 
 /// A recording encoded and decoded.
 pub struct Decoded {
@@ -92,7 +92,7 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
         let (decoder, bins) = match &mut decoder {
             Some(decoder) if decoder.0.fits(&window) => decoder,
             _ => decoder.insert((
-                EventDecoder::new(header.transform, header.grid, header.m),
+                EventDecoder::new(header.transform, header.grid, header.m, Finder::Exact),
                 Bins::new(header.transform, header.grid, BINS),
             )),
         };

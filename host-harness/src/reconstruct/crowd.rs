@@ -1,0 +1,153 @@
+//! Event times of a crowded pixel: quantiles of the flattest densities that explain its coefficients.
+//!
+//! A pixel of more events than it has coefficients has many explanations. Of all densities a of its ON
+//! and b of its OFF events, on G points of the window, those of the greatest entropy that have
+//!
+//! ```text
+//! sum_j a_j = on,   sum_j b_j = off,   sum_j (a_j - b_j) phi_k(u_j) = c_k
+//! ```
+//!
+//! are a_j ~ exp(+(Phi^T lambda)_j) and b_j ~ exp(-(Phi^T lambda)_j), where lambda, a number for each
+//! one that was sent, is the minimum of the convex
+//!
+//! ```text
+//! D = on log sum_j exp(+(Phi^T lambda)_j) + off log sum_j exp(-(Phi^T lambda)_j) - lambda c
+//!   + eps |lambda|^2 / 2
+//! ```
+//!
+//! found by Newton's method; eps leaves room for what was quantised. The i-th ON event is where the sum
+//! of a reaches i + 1/2. The work does not depend on the number of events, but for placing them.
+//!
+//! Jaynes, Physical Review 106 (1957); Mead, Papanicolaou, J. Math. Phys. 25 (1984).
+
+use nalgebra::{DMatrix, DVector};
+
+use super::equations::Equations;
+
+/// Points for each period of the highest atom.
+const POINTS_PER_PERIOD: usize = 8;
+/// Most points.
+const POINTS_MAX: usize = 512;
+/// Most rows, the lowest of more.
+const ROWS_MAX: usize = 48;
+/// Newton steps at the most.
+const ROUNDS: usize = 30;
+
+/// A density's points, normalised to 1, and the log of what that took.
+fn normalised(exponents: &[f64], sign: f64, density: &mut Vec<f64>) -> f64 {
+    let most = exponents
+        .iter()
+        .fold(f64::NEG_INFINITY, |most, e| most.max(sign * e));
+    density.clear();
+    density.extend(exponents.iter().map(|e| (sign * e - most).exp()));
+    let sum: f64 = density.iter().sum();
+    density.iter_mut().for_each(|p| *p /= sum);
+    most + sum.ln()
+}
+
+/// Times of all events, the ON ones first; the equations need no signs.
+#[must_use]
+pub fn times(equations: &Equations) -> Vec<f64> {
+    let (on, off) = (equations.on as usize, equations.off as usize);
+    let counts = [f64::from(equations.on), f64::from(equations.off)];
+    let rows = equations.rows().min(ROWS_MAX);
+    if rows == 0 {
+        let mut times = quantiles(&[1.0], on);
+        times.extend(quantiles(&[1.0], off));
+        return times;
+    }
+    let highest = usize::from(
+        equations
+            .ks
+            .iter()
+            .take(rows)
+            .next_back()
+            .copied()
+            .unwrap_or(0),
+    );
+    let points = (POINTS_PER_PERIOD * (highest + 1)).clamp(64, POINTS_MAX);
+    let mut atoms = DMatrix::zeros(points, rows);
+    for j in 0..points {
+        let u = (j as f64 + 0.5) / points as f64;
+        equations.atoms(u, |row, value, _| {
+            if row < rows {
+                atoms[(j, row)] = value;
+            }
+        });
+    }
+    let target = DVector::from_column_slice(&equations.middles[..rows]);
+    let noise = equations.half * equations.half;
+    let mut lambda = DVector::zeros(rows);
+    let mut densities = [Vec::new(), Vec::new()];
+    let value_at = |lambda: &DVector<f64>, densities: &mut [Vec<f64>; 2]| -> f64 {
+        let exponents = &atoms * lambda;
+        let [a, b] = densities;
+        counts[0] * normalised(exponents.as_slice(), 1.0, a)
+            + counts[1] * normalised(exponents.as_slice(), -1.0, b)
+            - lambda.dot(&target)
+            + noise / 2.0 * lambda.norm_squared()
+    };
+    let mut value = value_at(&lambda, &mut densities);
+    for _ in 0..ROUNDS {
+        let mut gradient = &lambda * noise - &target;
+        let mut hessian = DMatrix::identity(rows, rows) * noise;
+        for ((count, sign), density) in counts.iter().zip([1.0, -1.0]).zip(&densities) {
+            if *count == 0.0 {
+                continue;
+            }
+            let density = DVector::from_column_slice(density);
+            let mean = atoms.tr_mul(&density);
+            gradient.axpy(sign * count, &mean, 1.0);
+            let mut weighted = atoms.clone();
+            for mut column in weighted.column_iter_mut() {
+                column.component_mul_assign(&density);
+            }
+            hessian.gemm_tr(*count, &atoms, &weighted, 1.0);
+            hessian.ger(-count, &mean, &mean, 1.0);
+        }
+        if gradient.amax() < equations.half {
+            break;
+        }
+        let Some(factors) = hessian.cholesky() else {
+            break;
+        };
+        let step = factors.solve(&gradient);
+        let slope = gradient.dot(&step);
+        let mut scale = 1.0;
+        let mut is_better = false;
+        for _ in 0..20 {
+            let next = &lambda - &step * scale;
+            let after = value_at(&next, &mut densities);
+            if after <= value - 1e-4 * scale * slope {
+                (lambda, value, is_better) = (next, after, true);
+                break;
+            }
+            scale *= 0.5;
+        }
+        if !is_better {
+            break;
+        }
+    }
+    value_at(&lambda, &mut densities);
+    let [a, b] = &densities;
+    let mut times = quantiles(a, on);
+    times.extend(quantiles(b, off));
+    times
+}
+
+/// Where the cumulative density reaches (i + 1/2) / n, i = 0..n.
+fn quantiles(density: &[f64], n: usize) -> Vec<f64> {
+    let mut times = Vec::with_capacity(n);
+    let (mut point, mut below) = (0, 0.0);
+    let last = density.len() - 1;
+    for i in 0..n {
+        let wanted = (i as f64 + 0.5) / n as f64;
+        while point < last && below + density[point] < wanted {
+            below += density[point];
+            point += 1;
+        }
+        let within = ((wanted - below) / density[point].max(1e-300)).clamp(0.0, 1.0);
+        times.push((point as f64 + within) / density.len() as f64);
+    }
+    times
+}

@@ -1,0 +1,347 @@
+//! Event times on the grid of microseconds, verified by encoding them again.
+//!
+//! Atoms come from the encoder's own kernel in fixed point, whose sums add without rounding, so the
+//! levels of a candidate are to the bit what the encoder would have sent. Two candidates that give
+//! the same levels cannot be told apart by anyone; where no other is found next to one that agrees,
+//! its times are taken to be those of the events.
+
+use std::collections::HashSet;
+
+use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
+use eecvs_nostd::phase::PhaseScale;
+use eecvs_nostd::transform::{Basis, Dct, Dtft, Impulse};
+use eecvs_nostd::{Header, Transform};
+
+use super::equations::Equations;
+
+/// Most events of a pixel whose candidates are all looked at.
+const ALL_EVENTS_MAX: usize = 4;
+/// How far each event of a neighbour may be, in microseconds, by the number of events: 5^3 and 3^4
+/// neighbours are looked at.
+const REACH: [i32; ALL_EVENTS_MAX + 1] = [2, 2, 2, 2, 1];
+/// Most that an event moves from one candidate to the next.
+const REACH_MAX: i32 = 2;
+/// Offsets whose atoms are at hand.
+const PLACES: usize = 2 * REACH_MAX as usize + 1;
+/// Most candidates that are looked at.
+const CANDIDATES_MAX: usize = 64;
+/// Rounds of the descent to a candidate that agrees.
+const ROUNDS: usize = 40;
+/// Most events of a pixel in whose descent pairs move together.
+const PAIRS_EVENTS_MAX: usize = 12;
+
+/// Most events that are verified: those that the encoder sums in one go.
+pub const EVENTS_MAX: usize = CHUNK_EVENTS;
+
+/// The offset of a single event, from the middle u of the cell that was sent: the middle of those that
+/// the encoder puts into it; and whether there is one alone.
+#[must_use]
+pub fn single(header: &Header, u: f64) -> (u32, bool) {
+    let duration = u64::from(header.duration_us.max(1));
+    let cells_log2 = header.packing().cells_log2();
+    let cell = (u * f64::from(cells_log2).exp2()) as u64;
+    let scale = PhaseScale::new(header.duration_us);
+    let is_in = |offset: u64| {
+        let of = match header.transform {
+            Transform::Dct => Dct::cell(scale, offset as u32, cells_log2),
+            _ => Dtft::cell(scale, offset as u32, cells_log2),
+        };
+        u64::from(of) == cell
+    };
+    // The encoder's phase is a little below u: the edges may be off by one.
+    let edge = |cell: u64| ((cell * duration) >> cells_log2).min(duration - 1);
+    let (from, to) = (
+        edge(cell).saturating_sub(1),
+        edge(cell + 1).saturating_add(1).min(duration - 1),
+    );
+    let first = (from..=to).take(4).find(|offset| is_in(*offset));
+    let last = (from..=to).rev().take(4).find(|offset| is_in(*offset));
+    match first.zip(last) {
+        Some((first, last)) => (first.midpoint(last) as u32, first == last),
+        // A cell that no offset falls into.
+        None => (edge(cell) as u32, false),
+    }
+}
+
+/// Verifies times of one pixel.
+#[derive(Debug)]
+pub struct Lattice<'e> {
+    equations: &'e Equations,
+    scale: PhaseScale,
+    grid: usize,
+    sums: Vec<Sum>,
+    /// Of each row, the least and the greatest sum of the received level.
+    rooms: Vec<(i64, i64)>,
+}
+
+/// Times that agree with what was received.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Agreed {
+    /// Offsets in microseconds, in the order of the signs.
+    pub offsets: Vec<u32>,
+    /// Whether no other times next to these agree.
+    pub is_unique: bool,
+}
+
+impl<'e> Lattice<'e> {
+    /// Of a pixel of at most [`EVENTS_MAX`] events.
+    #[must_use]
+    pub fn new(header: &Header, equations: &'e Equations) -> Self {
+        let grid = usize::from(header.grid);
+        let step = 2.0 * equations.half_step;
+        let unit = f64::from(header.quantiser.shift()).exp2();
+        // Sums of so few events are far within: whatever a frame says, nothing overflows.
+        let bound = (1_u64 << 60) as f64;
+        let room = |middle: &f64| {
+            let level = (middle / step - 0.5).round();
+            let least = (level * unit).clamp(-bound, bound) as i64;
+            (least, least + unit as i64 - 1)
+        };
+        Self {
+            equations,
+            scale: PhaseScale::new(equations.duration_us),
+            grid,
+            sums: vec![Sum::ZERO; 2 * grid],
+            rooms: equations.middles.iter().map(room).collect(),
+        }
+    }
+
+    /// The encoder's atoms of event `i` at an offset.
+    fn atoms(&mut self, i: usize, offset_us: u32) -> Vec<i32> {
+        let impulse = Impulse {
+            offset_us,
+            is_on: self.equations.signs[i] > 0.0,
+        };
+        let one = std::iter::once(impulse);
+        let is_complex = self.equations.transform.is_complex();
+        match self.equations.transform {
+            Transform::Dct => Dct::accumulate(one, self.scale, self.grid, &mut self.sums),
+            _ => Dtft::accumulate(one, self.scale, self.grid, &mut self.sums),
+        }
+        let ks = self.equations.ks.iter().map(|k| usize::from(*k));
+        if is_complex {
+            ks.flat_map(|k| [self.sums[2 * k], self.sums[2 * k + 1]])
+                .map(Sum::to_bits)
+                .collect()
+        } else {
+            ks.map(|k| self.sums[k].to_bits()).collect()
+        }
+    }
+
+    /// The offset a microsecond before or after; around the window where atoms go around it.
+    fn beside(&self, offset_us: u32, by: i32) -> Option<u32> {
+        let duration = i64::from(self.equations.duration_us);
+        let next = i64::from(offset_us) + i64::from(by);
+        if (0..duration).contains(&next) {
+            return Some(next as u32);
+        }
+        self.equations
+            .transform
+            .is_complex()
+            .then(|| next.rem_euclid(duration) as u32)
+    }
+
+    /// By how much sums are outside of what was received, in all.
+    fn outside(&self, sums: impl Iterator<Item = i64>) -> u64 {
+        let outside = |(sum, (least, most)): (i64, &(i64, i64))| {
+            (least - sum).max(sum - most).max(0).unsigned_abs()
+        };
+        sums.zip(&self.rooms)
+            .map(outside)
+            .fold(0, u64::saturating_add)
+    }
+
+    /// Times near `start` that encode to what was received.
+    #[must_use]
+    pub fn agree(&mut self, start: &[u32]) -> Option<Agreed> {
+        let mut candidate = Candidate::new(self, start)?;
+        if !candidate.descend(self) {
+            return None;
+        }
+        Some(candidate.middle(self))
+    }
+}
+
+/// Times with their atoms, and those of the times beside.
+struct Candidate {
+    offsets: Vec<u32>,
+    /// Of each event: its atoms, and those of the offsets before and after.
+    atoms: Vec<[Vec<i32>; PLACES]>,
+    sums: Vec<i64>,
+}
+
+impl Candidate {
+    fn new(lattice: &mut Lattice<'_>, offsets: &[u32]) -> Option<Self> {
+        if offsets.len() > EVENTS_MAX || lattice.equations.duration_us <= PLACES as u32 {
+            return None;
+        }
+        let mut candidate = Self {
+            offsets: offsets.to_vec(),
+            atoms: (0..offsets.len()).map(|_| Default::default()).collect(),
+            sums: vec![0; lattice.rooms.len()],
+        };
+        for (i, offset_us) in offsets.iter().enumerate() {
+            candidate.place(lattice, i, *offset_us);
+        }
+        Some(candidate)
+    }
+
+    /// Puts event i at an offset.
+    fn place(&mut self, lattice: &mut Lattice<'_>, i: usize, offset_us: u32) {
+        for (sum, atom) in self.sums.iter_mut().zip(&self.atoms[i][REACH_MAX as usize]) {
+            *sum -= i64::from(*atom);
+        }
+        self.offsets[i] = offset_us;
+        self.atoms[i] = std::array::from_fn(|place| {
+            let by = place as i32 - REACH_MAX;
+            let beside = lattice.beside(offset_us, by).unwrap_or(offset_us);
+            lattice.atoms(i, beside)
+        });
+        for (sum, atom) in self.sums.iter_mut().zip(&self.atoms[i][REACH_MAX as usize]) {
+            *sum += i64::from(*atom);
+        }
+    }
+
+    /// What events add that move by so many microseconds.
+    fn moved(&self, moves: &[(usize, i32)], row: usize) -> i64 {
+        moves
+            .iter()
+            .map(|(i, by)| {
+                let atoms = &self.atoms[*i];
+                let to = atoms[(by + REACH_MAX) as usize][row];
+                i64::from(to) - i64::from(atoms[REACH_MAX as usize][row])
+            })
+            .sum()
+    }
+
+    fn outside(&self, lattice: &Lattice<'_>, moves: &[(usize, i32)]) -> u64 {
+        let sums = self.sums.iter().enumerate();
+        lattice.outside(sums.map(|(row, sum)| sum + self.moved(moves, row)))
+    }
+
+    /// Whether nothing is outside, which mostly the first rows tell.
+    fn agrees(&self, lattice: &Lattice<'_>, moves: &[(usize, i32)]) -> bool {
+        let mut rows = self.sums.iter().zip(&lattice.rooms).enumerate();
+        rows.all(|(row, (sum, (least, most)))| {
+            (*least..=*most).contains(&(sum + self.moved(moves, row)))
+        })
+    }
+
+    fn apply(&mut self, lattice: &mut Lattice<'_>, moves: &[(usize, i32)]) {
+        for (i, by) in moves {
+            if let Some(offset_us) = lattice.beside(self.offsets[*i], *by) {
+                self.place(lattice, *i, offset_us);
+            }
+        }
+    }
+
+    /// Moves one event or two by a microsecond, whichever leaves least outside, until all agree.
+    fn descend(&mut self, lattice: &mut Lattice<'_>) -> bool {
+        let n = self.offsets.len();
+        let mut least = self.outside(lattice, &[]);
+        for _ in 0..ROUNDS {
+            if least == 0 {
+                return true;
+            }
+            let mut best: Option<([(usize, i32); 2], usize)> = None;
+            let mut look = |this: &Self, moves: [(usize, i32); 2], len: usize| {
+                let outside = this.outside(lattice, &moves[..len]);
+                if outside < least {
+                    (least, best) = (outside, Some((moves, len)));
+                }
+            };
+            for i in 0..n {
+                for by in [-1, 1] {
+                    look(self, [(i, by), (0, 0)], 1);
+                    if n > PAIRS_EVENTS_MAX {
+                        continue;
+                    }
+                    for j in 0..i {
+                        for other in [-1, 1] {
+                            look(self, [(i, by), (j, other)], 2);
+                        }
+                    }
+                }
+            }
+            let Some((moves, len)) = best else {
+                return false;
+            };
+            self.apply(lattice, &moves[..len]);
+        }
+        least == 0
+    }
+
+    /// Of all times that agree and are found from these on, those nearest to their mean.
+    fn middle(mut self, lattice: &mut Lattice<'_>) -> Agreed {
+        let n = self.offsets.len();
+        let first = self.offsets.clone();
+        if n > ALL_EVENTS_MAX {
+            let is_unique = !self.has_other(lattice);
+            return Agreed {
+                offsets: first,
+                is_unique,
+            };
+        }
+        // Distances from the first, which do not go around the window.
+        let mut found: Vec<[i32; ALL_EVENTS_MAX]> = vec![[0; ALL_EVENTS_MAX]];
+        let mut seen: HashSet<[i32; ALL_EVENTS_MAX]> = HashSet::from([found[0]]);
+        let mut next = 0;
+        let reach = REACH[n];
+        let places = 2 * reach + 1;
+        let around = places.pow(n as u32);
+        while next < found.len() && found.len() < CANDIDATES_MAX {
+            let at = found[next];
+            next += 1;
+            for i in 0..n {
+                let offset = lattice.beside(first[i], at[i]).unwrap_or(first[i]);
+                if self.offsets[i] != offset {
+                    self.place(lattice, i, offset);
+                }
+            }
+            for code in 0..around {
+                let mut moves = [(0, 0); ALL_EVENTS_MAX];
+                let mut to = at;
+                let mut rest = code;
+                for (i, step) in moves.iter_mut().take(n).enumerate() {
+                    *step = (i, rest % places - reach);
+                    to[i] += step.1;
+                    rest /= places;
+                }
+                let inside = (0..n).all(|i| lattice.beside(first[i], to[i]).is_some());
+                if inside && seen.insert(to) && self.agrees(lattice, &moves[..n]) {
+                    found.push(to);
+                }
+            }
+        }
+        let mean: Vec<f64> = (0..n)
+            .map(|i| found.iter().map(|at| f64::from(at[i])).sum::<f64>() / found.len() as f64)
+            .collect();
+        let distance = |at: &[i32; ALL_EVENTS_MAX]| -> f64 {
+            at.iter()
+                .zip(&mean)
+                .map(|(at, mean)| (f64::from(*at) - mean).abs())
+                .sum()
+        };
+        let best = found
+            .iter()
+            .min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let best = best.copied().unwrap_or_default();
+        let offsets = (0..n).map(|i| lattice.beside(first[i], best[i]).unwrap_or(first[i]));
+        Agreed {
+            offsets: offsets.collect(),
+            is_unique: found.len() == 1,
+        }
+    }
+
+    /// Whether the times of one event or two may be moved by a microsecond.
+    fn has_other(&self, lattice: &Lattice<'_>) -> bool {
+        let n = self.offsets.len();
+        let agrees = |moves: &[(usize, i32)]| self.agrees(lattice, moves);
+        (0..n).any(|i| {
+            [-1, 1].into_iter().any(|by| {
+                let pairs = (0..i).flat_map(|j| [(j, -1), (j, 1)]);
+                agrees(&[(i, by)]) || pairs.into_iter().any(|other| agrees(&[(i, by), other]))
+            })
+        })
+    }
+}
