@@ -1,11 +1,13 @@
 //! A window's events to a hybrid frame: group, cells, and one of the coders.
 
-use crate::bits::BitWriter;
 use crate::coder::Cells;
+use crate::coder::big_bits::BigWriter;
 use crate::coder::content::{Content, Node};
 use crate::coder::dense::Dense;
-use crate::coder::fast::{Fast, ROOM_WORDS};
+use crate::coder::fast::{Fast, ROOM_WORDS, Unordered};
 use crate::coder::range::RangeEncoder;
+#[cfg(eecvs_dsp)]
+use crate::fast_dsp;
 use crate::frame::Header;
 use crate::group::{Group, Impulses, Pixel};
 use crate::sort::ascending;
@@ -46,23 +48,28 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         }
     }
 
-    /// The next pixel, its times in cells and in order.
+    /// The next pixel, its times in cells.
     #[inline(always)]
     fn next(&mut self) -> Option<Pixel> {
-        let mut pixel = self.group.next(self.window)?;
-        if core::mem::take(self.is_rest) {
-            return Some(pixel);
-        }
-        let slots = self.window.slots();
-        if !self.cells.is_lossless() {
+        let pixel = self.group.next(self.window)?;
+        if !*self.is_rest && !self.cells.is_lossless() {
+            let slots = self.window.slots();
             let mut at = pixel.head;
             while let Some(slot) = slots.get_mut(at as usize) {
                 at = slot.next();
                 *slot = slot.with_offset_us(self.cells.of(slot.offset_us()));
             }
         }
+        *self.is_rest = false;
+        Some(pixel)
+    }
+
+    /// The same, and these in order.
+    #[inline(always)]
+    fn next_in_order(&mut self) -> Option<Pixel> {
+        let mut pixel = self.next()?;
         if pixel.on + pixel.off > 1 {
-            pixel.head = ascending(slots, pixel.head);
+            pixel.head = ascending(self.window.slots(), pixel.head);
         }
         Some(pixel)
     }
@@ -92,7 +99,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         out: &mut [u8],
         trace: &mut T,
     ) -> Taken {
-        let mut writer = BitWriter::new(out);
+        let mut writer = BigWriter::new(out);
         let mut coder = Fast::new(header.sensor, header.window_events, self.cells.count());
         let mut taken = Taken {
             payload_bytes: 0,
@@ -100,18 +107,32 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             is_last: true,
             overran: false,
         };
-        while let Some(pixel) = self.next() {
+        loop {
+            #[cfg(eecvs_dsp)]
+            if !T::LISTENS && self.cells.is_lossless() {
+                // All but the pixels that it leaves to what follows.
+                *self.is_rest = false;
+                let all = (&mut *self.group, &mut *self.window);
+                taken.events += fast_dsp::walk(all, &mut coder, &mut writer);
+            }
+            let Some(mut pixel) = self.next() else {
+                break;
+            };
             if !writer.has_words(ROOM_WORDS) {
                 self.put_back(pixel, pixel.head);
                 taken.is_last = false;
                 break;
             }
             trace.enter(Stage::Pack);
-            let mut impulses = Impulses::new(pixel, self.window.slots());
-            let events = impulses
-                .by_ref()
-                .map(|impulse| (impulse.offset_us, impulse.is_on));
-            let written = coder.write((pixel.x, pixel.y), events, &mut writer);
+            let written = loop {
+                let impulses = Impulses::new(pixel, self.window.slots());
+                let events = impulses.map(|impulse| (impulse.offset_us, impulse.is_on));
+                match coder.write((pixel.x, pixel.y), events, &mut writer) {
+                    Ok(written) => break written,
+                    // They nearly always come in order: to look first would cost more.
+                    Err(Unordered) => pixel.head = ascending(self.window.slots(), pixel.head),
+                }
+            };
             taken.events += written;
             if written < pixel.on + pixel.off {
                 let head = nth(self.window.slots(), pixel.head, written);
@@ -218,7 +239,7 @@ impl Content for Pixels<'_, '_, '_, '_> {
 
     fn enter(&mut self, _position: (u16, u16)) -> u32 {
         // It was asked for: there is one.
-        self.pixel = self.encoder.next();
+        self.pixel = self.encoder.next_in_order();
         (self.at, self.rest) = self
             .pixel
             .map_or((0, 0), |pixel| (pixel.head, pixel.on + pixel.off));

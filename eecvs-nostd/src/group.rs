@@ -69,7 +69,7 @@ pub(crate) type Tally = u32;
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
 pub(crate) type Tally = u64;
 /// One event.
-const EVENT: Tally = 1 << Head::BITS;
+pub(crate) const EVENT: Tally = 1 << Head::BITS;
 const _: () = assert!(Tally::BITS == 2 * Head::BITS);
 
 impl Group {
@@ -142,6 +142,23 @@ impl Group {
         match mem::take(&mut self.columns) {
             0 => self.next_segment_apart(window).map_or(0, NonZeroU32::get),
             columns => columns,
+        }
+    }
+
+    /// Counts the events of the columns that are still to be visited, after a walk in assembly that did
+    /// not.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn count(&mut self, slots: &[Slot]) {
+        let mut columns = self.columns;
+        while columns != 0 {
+            let entry = &mut self.entries[columns.trailing_zeros() as usize % 32];
+            columns &= columns - 1;
+            entry.tally = 0;
+            let mut at = entry.head;
+            while let Some(slot) = slots.get(at as usize) {
+                entry.tally += EVENT + Tally::from(slot.sign());
+                at = slot.next();
+            }
         }
     }
 
