@@ -32,7 +32,7 @@ const RATES: [Rates; 9] = [
     ),
     rates(
         "davis346_static_sparse/davis346.aedat4",
-        [19.3, 16.7, 10.15, 4.95],
+        [19.35, 16.7, 10.15, 4.95],
     ),
     rates("gen3_vga_dense_evt2/evt2.raw", [11.45, 8.5, 3.2, 1.35]),
     rates(

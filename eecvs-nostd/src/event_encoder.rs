@@ -48,29 +48,36 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         }
     }
 
-    /// The next pixel, its times in cells.
+    /// Makes cells of a pixel's times, where it is not the rest of one whose times are.
     #[inline(always)]
-    fn next(&mut self) -> Option<Pixel> {
-        let pixel = self.group.next(self.window)?;
+    fn take_cells(&mut self, head: u32) {
         if !*self.is_rest && !self.cells.is_lossless() {
             let slots = self.window.slots();
-            let mut at = pixel.head;
+            let mut at = head;
             while let Some(slot) = slots.get_mut(at as usize) {
                 at = slot.next();
                 *slot = slot.with_offset_us(self.cells.of(slot.offset_us()));
             }
         }
         *self.is_rest = false;
-        Some(pixel)
     }
 
-    /// The same, and these in order.
+    /// The next pixel, its times in cells and in order.
     #[inline(always)]
-    fn next_in_order(&mut self) -> Option<Pixel> {
-        let mut pixel = self.next()?;
+    fn next(&mut self) -> Option<Pixel> {
+        let mut pixel = self.group.next(self.window)?;
+        self.take_cells(pixel.head);
         if pixel.on + pixel.off > 1 {
             pixel.head = ascending(self.window.slots(), pixel.head);
         }
+        Some(pixel)
+    }
+
+    /// The same in any order, and not counted.
+    #[inline(always)]
+    fn next_uncounted(&mut self) -> Option<Pixel> {
+        let pixel = self.group.next_uncounted(self.window)?;
+        self.take_cells(pixel.head);
         Some(pixel)
     }
 
@@ -88,6 +95,12 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             rest.off += u32::from(!impulse.is_on);
         }
         self.group.put_back(rest);
+        *self.is_rest = true;
+    }
+
+    /// The same of one that is not counted.
+    fn put_back_uncounted(&mut self, pixel: Pixel, head: u32) {
+        self.group.put_back(Pixel { head, ..pixel });
         *self.is_rest = true;
     }
 
@@ -115,11 +128,11 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
                 let all = (&mut *self.group, &mut *self.window);
                 taken.events += fast_dsp::walk(all, &mut coder, &mut writer);
             }
-            let Some(mut pixel) = self.next() else {
+            let Some(mut pixel) = self.next_uncounted() else {
                 break;
             };
             if !writer.has_words(ROOM_WORDS) {
-                self.put_back(pixel, pixel.head);
+                self.put_back_uncounted(pixel, pixel.head);
                 taken.is_last = false;
                 break;
             }
@@ -133,10 +146,10 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
                     Err(Unordered) => pixel.head = ascending(self.window.slots(), pixel.head),
                 }
             };
-            taken.events += written;
-            if written < pixel.on + pixel.off {
-                let head = nth(self.window.slots(), pixel.head, written);
-                self.put_back(pixel, head);
+            taken.events += written.events;
+            if !written.is_whole {
+                let head = nth(self.window.slots(), pixel.head, written.events);
+                self.put_back_uncounted(pixel, head);
                 taken.is_last = false;
                 break;
             }
@@ -239,7 +252,7 @@ impl Content for Pixels<'_, '_, '_, '_> {
 
     fn enter(&mut self, _position: (u16, u16)) -> u32 {
         // It was asked for: there is one.
-        self.pixel = self.encoder.next_in_order();
+        self.pixel = self.encoder.next();
         (self.at, self.rest) = self
             .pixel
             .map_or((0, 0), |pixel| (pixel.head, pixel.on + pixel.off));

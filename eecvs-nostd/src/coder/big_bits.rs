@@ -73,7 +73,7 @@ mod writer {
             if let Some(place) = self.out.get_mut(bytes..bytes + 8) {
                 place.copy_from_slice(&pending.to_be_bytes());
             } else {
-                self.put_at_end(pending);
+                put_at_end(self.out.get_mut(bytes..).unwrap_or_default(), pending);
             }
             self.state = Position {
                 bytes: bytes + (end / 8) as usize,
@@ -82,13 +82,16 @@ mod writer {
             };
         }
 
-        #[cold]
-        #[inline(never)]
-        fn put_at_end(&mut self, pending: u64) {
-            let rest = self.out.get_mut(self.state.bytes..).unwrap_or_default();
-            for (place, byte) in rest.iter_mut().zip(pending.to_be_bytes()) {
-                *place = byte;
-            }
+        /// Lets `write` put something into a copy of this writer, whose state is in memory there;
+        /// here it stays in registers.
+        #[inline(always)]
+        pub fn aside(&mut self, write: impl FnOnce(&mut BigWriter<'_>)) {
+            let mut copy = BigWriter {
+                out: self.out,
+                state: self.state,
+            };
+            write(&mut copy);
+            self.state = copy.state;
         }
 
         /// Whether there is room for so many more words of 32 bits, beyond those that are complete.
@@ -116,6 +119,14 @@ mod writer {
         pub fn finish(self) -> usize {
             let Position { bytes, bits, .. } = self.state;
             (bytes + bits.div_ceil(8) as usize).min(self.out.len())
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn put_at_end(rest: &mut [u8], pending: u64) {
+        for (place, byte) in rest.iter_mut().zip(pending.to_be_bytes()) {
+            *place = byte;
         }
     }
 }
@@ -188,6 +199,18 @@ mod writer {
                 free: 32 - beyond,
                 words: words + 1,
             };
+        }
+
+        /// Lets `write` put something into a copy of this writer, whose state is in memory there;
+        /// here it stays in registers.
+        #[inline(always)]
+        pub fn aside(&mut self, write: impl FnOnce(&mut BigWriter<'_>)) {
+            let mut copy = BigWriter {
+                words: self.words,
+                state: self.state,
+            };
+            write(&mut copy);
+            self.state = copy.state;
         }
 
         /// Whether there is room for so many more words of 32 bits, beyond those that are complete.

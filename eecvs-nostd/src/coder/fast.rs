@@ -3,7 +3,7 @@
 //!
 //! A frame's pixels go by in raster order; docs/wire-format.md has the codes. Whatever an order
 //! follows is a length that the coder has at hand anyway: that of the distance before between the
-//! same polarities, or of the way that the last 16 pixels took. Both directions share it, and it
+//! same polarities, or of the way that the last 32 pixels took. Both directions share it, and it
 //! starts anew with every frame, so that each decodes by itself.
 
 use crate::bits::Ended;
@@ -17,11 +17,11 @@ use crate::window::SEGMENT_PIXELS;
 pub const ROOM_WORDS: usize = 9;
 
 /// Pixels after which the order of the gaps is chosen again.
-pub(crate) const TERM_PIXELS: u32 = 16;
+pub(crate) const TERM_PIXELS: u32 = 32;
 /// From log2 of the way that a term's pixels took to the order of the gaps: an eighth of the mean.
-pub(crate) const TERM_SHIFT: u32 = 7;
+pub(crate) const TERM_SHIFT: u32 = 8;
 /// A way of over twice what is to be expected is no longer than that.
-const TERM_LIMIT_SHIFT: u32 = 5;
+const TERM_LIMIT_SHIFT: u32 = 6;
 
 /// What comes after an event that is not its pixel's first, in two bits or, for the same polarity
 /// again, in the first of these.
@@ -83,6 +83,16 @@ impl From<Ended> for Malformed {
     fn from(_: Ended) -> Self {
         Self::Ended
     }
+}
+
+/// What of a pixel has been written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Written {
+    /// So many of its events.
+    pub events: u32,
+    /// They are all.
+    pub is_whole: bool,
 }
 
 /// A pixel's events are not in order; nothing of it has been written.
@@ -181,7 +191,7 @@ impl Fast {
         self.orders[polarities % 4] = order & self.order_mask;
     }
 
-    /// Writes a pixel's events, cells ascending, as long as there is room; returns how many of them.
+    /// Writes a pixel's events, cells ascending, as long as there is room.
     ///
     /// `writer` has [`ROOM_WORDS`] of room before.
     ///
@@ -193,14 +203,18 @@ impl Fast {
         (x, y): (u16, u16),
         mut events: impl Iterator<Item = (u32, bool)>,
         writer: &mut BigWriter<'_>,
-    ) -> Result<u32, Unordered> {
+    ) -> Result<Written, Unordered> {
+        let mut written = Written {
+            events: 0,
+            is_whole: true,
+        };
         let Some((cell, on)) = events.next() else {
-            return Ok(0);
+            return Ok(written);
         };
         let place = u32::from(y) * self.row + u32::from(x);
         let gap = place - self.gaps.next;
         let first = 2 * gap + self.gaps.base;
-        let mut written = 1;
+        written.events = 1;
         match events.next() {
             None => {
                 let first = first + 1;
@@ -224,7 +238,10 @@ impl Fast {
                     polarities: signs as usize,
                 };
                 match self.write_further(further, &mut events, writer) {
-                    Ok(further) => written += further,
+                    Ok(further) => {
+                        written.events += further.events;
+                        written.is_whole = further.is_whole;
+                    }
                     Err(unordered) => {
                         writer.rewind(before.0);
                         self.orders = before.1;
@@ -243,13 +260,13 @@ impl Fast {
         further: Further,
         events: &mut impl Iterator<Item = (u32, bool)>,
         writer: &mut BigWriter<'_>,
-    ) -> Result<u32, Unordered> {
+    ) -> Result<Written, Unordered> {
         let Further {
             mut cell,
             mut next,
             mut polarities,
         } = further;
-        let mut written = 0;
+        let mut events_written = 0;
         // What comes before the distance, and its bits.
         let mut prefix = (0, 0);
         loop {
@@ -260,11 +277,15 @@ impl Fast {
             let zeros = raised.leading_zeros();
             self.learn(polarities, zeros);
             let bits = 63 - order - 2 * zeros;
-            written += 1;
+            events_written += 1;
             let has_room = writer.has_words(ROOM_WORDS);
-            let Some((after, on)) = events.next().filter(|_| has_room) else {
+            let after = events.next();
+            let Some((after, on)) = after.filter(|_| has_room) else {
                 put_distance(writer, prefix, (raised, bits), (END, 2));
-                return Ok(written);
+                return Ok(Written {
+                    events: events_written,
+                    is_whole: after.is_none(),
+                });
             };
             put_distance(writer, prefix, (raised, bits), (0, 0));
             (cell, next) = (next, after);
@@ -379,9 +400,9 @@ fn put_first(
         let place = Code::from(place) << ((cell_bits + sign_bits) & (Code::BITS - 1));
         writer.put(place | event, bits);
     } else {
-        put_long(writer, place, bits - cell_bits - sign_bits);
-        put_long(writer, cell, cell_bits);
-        writer.put(Code::from(signs), sign_bits);
+        let place_bits = bits - cell_bits - sign_bits;
+        let parts = [(place, place_bits), (cell, cell_bits), (signs, sign_bits)];
+        writer.aside(|writer| put_long(writer, parts));
     }
 }
 
@@ -398,21 +419,22 @@ fn put_distance(
         let code = Code::from(prefix) << (bits & (Code::BITS - 1)) | Code::from(raised);
         writer.put(code << suffix_bits | Code::from(suffix), all);
     } else {
-        put_long(writer, prefix, prefix_bits);
-        put_long(writer, raised, bits);
-        put_long(writer, suffix, suffix_bits);
+        let parts = [(prefix, prefix_bits), (raised, bits), (suffix, suffix_bits)];
+        writer.aside(|writer| put_long(writer, parts));
     }
 }
 
-/// Puts a code of 0 to 64 bits of which all but the last 32 are zeros.
+/// Puts codes of 0 to 64 bits each, of which all but the last 32 are zeros.
 #[cold]
 #[inline(never)]
-fn put_long(writer: &mut BigWriter<'_>, code: u32, bits: u32) {
-    if bits > 32 {
-        writer.put(0, bits - 32);
-    }
-    if bits > 0 {
-        writer.put(Code::from(code), bits.min(32));
+fn put_long(writer: &mut BigWriter<'_>, parts: [(u32, u32); 3]) {
+    for (code, bits) in parts {
+        if bits > 32 {
+            writer.put(0, bits - 32);
+        }
+        if bits > 0 {
+            writer.put(Code::from(code), bits.min(32));
+        }
     }
 }
 
@@ -445,7 +467,11 @@ mod tests {
                 }
                 let at = (*x, *y);
                 let count = coder.write(at, events.iter().copied(), &mut writer);
-                let count = count.unwrap();
+                let Written {
+                    events: count,
+                    is_whole,
+                } = count.unwrap();
+                assert_eq!(is_whole, count as usize == events.len());
                 written += count;
                 *events = &events[count as usize..];
                 if !events.is_empty() {
