@@ -105,6 +105,8 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
     }
 
     /// Codes with [`Fast`] into `out`.
+    // Without assembly there is nothing before the pixel.
+    #[cfg_attr(not(eecvs_dsp), allow(clippy::while_let_loop))]
     #[inline(never)]
     pub(crate) fn fast<T: Trace>(
         &mut self,
