@@ -294,7 +294,7 @@ macro_rules! learn {
     };
 }
 
-/// On to 12 where there is no room for another pixel; overwrites the register.
+/// On to `$to` where there is no room for another pixel; overwrites the register.
 macro_rules! room {
     ($other:literal, $to:literal) => {
         concat!(
