@@ -1,11 +1,13 @@
 //! A window's events to a hybrid frame: group, cells, and one of the coders.
 
-use crate::bits::BitWriter;
 use crate::coder::Times;
+use crate::coder::big_bits::BigWriter;
 use crate::coder::content::{Content, Node};
 use crate::coder::dense::Dense;
-use crate::coder::fast::{Fast, ROOM_WORDS};
+use crate::coder::fast::{Fast, ROOM_WORDS, Unordered};
 use crate::coder::range::RangeEncoder;
+#[cfg(eecvs_dsp)]
+use crate::fast_dsp;
 use crate::frame::Header;
 use crate::group::{Group, Impulses, Pixel};
 use crate::sort::ascending;
@@ -46,25 +48,36 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         }
     }
 
-    /// The next pixel, its times as they are told and in order.
+    /// Tells a pixel's times as they are to be told, where it is not the rest of one of which that was done.
     #[inline(always)]
-    fn next(&mut self) -> Option<Pixel> {
-        let mut pixel = self.group.next(self.window)?;
-        if core::mem::take(self.is_rest) {
-            return Some(pixel);
-        }
-        let slots = self.window.slots();
-        if !self.times.are_plain() {
-            let place = (pixel.x, pixel.y);
-            let mut at = pixel.head;
+    fn tell_times(&mut self, place: (u16, u16), head: u32) {
+        if !*self.is_rest && !self.times.are_plain() {
+            let slots = self.window.slots();
+            let mut at = head;
             while let Some(slot) = slots.get_mut(at as usize) {
                 at = slot.next();
                 *slot = slot.with_offset_us(self.times.of(place, slot.offset_us()));
             }
         }
+        *self.is_rest = false;
+    }
+
+    /// The next pixel, its times as they are told and in order.
+    #[inline(always)]
+    fn next(&mut self) -> Option<Pixel> {
+        let mut pixel = self.group.next(self.window)?;
+        self.tell_times((pixel.x, pixel.y), pixel.head);
         if pixel.on + pixel.off > 1 {
-            pixel.head = ascending(slots, pixel.head);
+            pixel.head = ascending(self.window.slots(), pixel.head);
         }
+        Some(pixel)
+    }
+
+    /// The same in any order, and not counted.
+    #[inline(always)]
+    fn next_uncounted(&mut self) -> Option<Pixel> {
+        let pixel = self.group.next_uncounted(self.window)?;
+        self.tell_times((pixel.x, pixel.y), pixel.head);
         Some(pixel)
     }
 
@@ -85,7 +98,15 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         *self.is_rest = true;
     }
 
+    /// The same of one that is not counted.
+    fn put_back_uncounted(&mut self, pixel: Pixel, head: u32) {
+        self.group.put_back(Pixel { head, ..pixel });
+        *self.is_rest = true;
+    }
+
     /// Codes with [`Fast`] into `out`.
+    // Without assembly there is nothing before the pixel.
+    #[cfg_attr(not(eecvs_dsp), allow(clippy::while_let_loop))]
     #[inline(never)]
     pub(crate) fn fast<T: Trace>(
         &mut self,
@@ -93,7 +114,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         out: &mut [u8],
         trace: &mut T,
     ) -> Taken {
-        let mut writer = BitWriter::new(out);
+        let mut writer = BigWriter::new(out);
         let mut coder = Fast::new(header.sensor, header.window_events, self.times.count());
         let mut taken = Taken {
             payload_bytes: 0,
@@ -101,22 +122,36 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             is_last: true,
             overran: false,
         };
-        while let Some(pixel) = self.next() {
+        loop {
+            #[cfg(eecvs_dsp)]
+            if !T::LISTENS && self.times.are_plain() {
+                // All but the pixels that it leaves to what follows.
+                *self.is_rest = false;
+                let all = (&mut *self.group, &mut *self.window);
+                taken.events += fast_dsp::walk(all, &mut coder, &mut writer);
+            }
+            let Some(mut pixel) = self.next_uncounted() else {
+                break;
+            };
             if !writer.has_words(ROOM_WORDS) {
-                self.put_back(pixel, pixel.head);
+                self.put_back_uncounted(pixel, pixel.head);
                 taken.is_last = false;
                 break;
             }
             trace.enter(Stage::Pack);
-            let mut impulses = Impulses::new(pixel, self.window.slots());
-            let events = impulses
-                .by_ref()
-                .map(|impulse| (impulse.offset_us, impulse.is_on));
-            let written = coder.write((pixel.x, pixel.y), events, &mut writer);
-            taken.events += written;
-            if written < pixel.on + pixel.off {
-                let head = nth(self.window.slots(), pixel.head, written);
-                self.put_back(pixel, head);
+            let written = loop {
+                let impulses = Impulses::new(pixel, self.window.slots());
+                let events = impulses.map(|impulse| (impulse.offset_us, impulse.is_on));
+                match coder.write((pixel.x, pixel.y), events, &mut writer) {
+                    Ok(written) => break written,
+                    // They nearly always come in order: to look first would cost more.
+                    Err(Unordered) => pixel.head = ascending(self.window.slots(), pixel.head),
+                }
+            };
+            taken.events += written.events;
+            if !written.is_whole {
+                let head = nth(self.window.slots(), pixel.head, written.events);
+                self.put_back_uncounted(pixel, head);
                 taken.is_last = false;
                 break;
             }

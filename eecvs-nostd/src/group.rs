@@ -102,7 +102,7 @@ impl Group {
     pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
         let columns = match NonZeroU32::new(self.columns) {
             Some(columns) => columns,
-            None => self.next_segment_apart(window)?,
+            None => self.next_segment_apart::<true>(window)?,
         };
         let column = columns.trailing_zeros();
         self.columns = columns.get() & (columns.get() - 1);
@@ -118,11 +118,30 @@ impl Group {
         })
     }
 
+    /// As [`Self::next`], for a window of which no event is counted: the pixels have 0 of each.
+    #[inline]
+    pub(crate) fn next_uncounted(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
+        let columns = match NonZeroU32::new(self.columns) {
+            Some(columns) => columns,
+            None => self.next_segment_apart::<false>(window)?,
+        };
+        let column = columns.trailing_zeros();
+        self.columns = columns.get() & (columns.get() - 1);
+        let head = &mut self.entries[column as usize % 32].head;
+        Some(Pixel {
+            x: self.segment_x + column as u16,
+            y: self.segment_y,
+            on: 0,
+            off: 0,
+            head: mem::replace(head, NO_SLOT),
+        })
+    }
+
     /// Position of the next pixel, which [`Self::next`] will give.
     #[inline]
     pub fn peek(&mut self, window: &mut Window<'_>) -> Option<(u16, u16)> {
         if self.columns == 0 {
-            self.columns = self.next_segment_apart(window)?.get();
+            self.columns = self.next_segment_apart::<true>(window)?.get();
         }
         let column = self.columns.trailing_zeros() as u16;
         Some((self.segment_x + column, self.segment_y))
@@ -143,19 +162,24 @@ impl Group {
     #[cfg(eecvs_dsp)]
     pub(crate) fn enter(&mut self, window: &mut Window<'_>) -> u32 {
         match mem::take(&mut self.columns) {
-            0 => self.next_segment_apart(window).map_or(0, NonZeroU32::get),
+            0 => self
+                .next_segment_apart::<true>(window)
+                .map_or(0, NonZeroU32::get),
             columns => columns,
         }
     }
 
     #[inline(never)]
-    fn next_segment_apart(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
-        self.next_segment(window)
+    fn next_segment_apart<const COUNTS: bool>(
+        &mut self,
+        window: &mut Window<'_>,
+    ) -> Option<NonZeroU32> {
+        self.next_segment::<COUNTS>(window)
     }
 
     /// Goes to the next segment and returns its columns.
     #[inline(always)]
-    fn next_segment(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
+    fn next_segment<const COUNTS: bool>(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
         #[cfg(target_pointer_width = "64")]
         let (segment, head) = {
             let here = match self.ahead {
@@ -168,7 +192,7 @@ impl Group {
         #[cfg(not(target_pointer_width = "64"))]
         let (segment, head) = self.take_segment(window)?;
         (self.segment_x, self.segment_y) = window.segment_origin(segment);
-        NonZeroU32::new(self.deal(head, window.slots()))
+        NonZeroU32::new(self.deal::<COUNTS>(head, window.slots()))
     }
 
     /// The next segment that has events, and its list.
@@ -184,14 +208,16 @@ impl Group {
 
     /// Turns a segment's list into one for each column; returns the columns.
     #[inline(always)]
-    fn deal(&mut self, mut head: u32, slots: &mut [Slot]) -> u32 {
+    fn deal<const COUNTS: bool>(&mut self, mut head: u32, slots: &mut [Slot]) -> u32 {
         let mut columns = 0;
         // The end of a list is a slot that no buffer has.
         while let Some(slot) = slots.get_mut(head as usize) {
             let column = slot.column();
             columns |= 1 << column;
             let entry = &mut self.entries[column as usize];
-            entry.tally += EVENT + Tally::from(slot.sign());
+            if COUNTS {
+                entry.tally += EVENT + Tally::from(slot.sign());
+            }
             let first = mem::replace(&mut entry.head, head);
             head = slot.next();
             *slot = slot.with_next(first);

@@ -26,6 +26,8 @@ mod event_encoder;
 pub mod event_link;
 pub mod evt2;
 #[cfg(eecvs_dsp)]
+mod fast_dsp;
+#[cfg(eecvs_dsp)]
 mod few_dsp;
 pub mod filter;
 pub mod fixed_point;

@@ -61,7 +61,10 @@ fn sort(slots: &mut [Slot], mut head: u32) -> u32 {
 }
 
 fn next(slots: &[Slot], at: u32) -> u32 {
-    slots.get(at as usize).map_or(NO_SLOT, |slot| slot.next())
+    let next = slots.get(at as usize).map(|slot| slot.next());
+    // Assembly ends a list with any slot that no buffer has.
+    let next = next.filter(|next| (*next as usize) < slots.len());
+    next.unwrap_or(NO_SLOT)
 }
 
 fn time(slots: &[Slot], at: u32) -> u32 {
@@ -94,7 +97,8 @@ mod tests {
     /// A list through slots in any order.
     fn listed(times: &[u32], order: &[usize]) -> (Vec<Slot>, u32) {
         let mut slots = std::vec![Slot::EMPTY; times.len()];
-        let mut head = NO_SLOT;
+        // As good an end as `NO_SLOT`.
+        let mut head = NO_SLOT - 5;
         for i in order.iter().rev() {
             slots[*i] = Slot::new(times[*i], head, 0);
             head = *i as u32;

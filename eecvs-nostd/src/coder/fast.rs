@@ -1,104 +1,69 @@
-//! The fast event coder: Golomb-like codes whose parameters follow what went by, for the fewest
+//! The fast event coder: Golomb-like codes whose orders follow what went by, for the fewest
 //! instructions.
 //!
-//! A frame's pixels go by in raster order; docs/wire-format.md has the codes. One adaptation serves
-//! both directions, and it starts anew with every frame, so that each decodes by itself.
+//! A frame's pixels go by in raster order; docs/wire-format.md has the codes. Whatever an order
+//! follows is a length that the coder has at hand anyway: that of the distance before between the
+//! same polarities, or of the way that the last 32 pixels took. Both directions share it, and it
+//! starts anew with every frame, so that each decodes by itself.
 
-use crate::bits::{BitReader, BitWriter, Ended};
+use crate::bits::Ended;
+use crate::coder::big_bits::{BigReader, BigWriter, CODE_BITS, Code};
 use crate::event::Sensor;
+use crate::window::SEGMENT_PIXELS;
 
-/// Bits that an event takes at the most: what became of the pixel's event before (2), and the longest
-/// distance (3 and a code of 63 bits).
-const EVENT_WORDS: usize = 3;
-/// Words that a pixel's first event takes at the most: two gaps of up to 47 bits, a polarity, a time
-/// of 32; with an end, and what was there before.
-const FIRST_WORDS: usize = 6;
-/// Words of room without which no pixel is begun, and no further event of it.
-pub const ROOM_WORDS: usize = FIRST_WORDS + EVENT_WORDS;
+/// Words of room without which no pixel is begun, and no further event of it: up to 48 bits of gap,
+/// 34 of the first event, then 67 of a distance and what follows it, twice; and 31 that were there
+/// before.
+pub const ROOM_WORDS: usize = 9;
 
-/// Pixels after which the codes are chosen again.
-const TERM_PIXELS: u32 = 16;
-/// A mean of distances is held in units of 2^-3, and an eighth of it is new.
-const MEAN_SHIFT: u32 = 3;
-/// Distances beyond are learned as this much.
-const DISTANCE_MAX: u32 = 1 << 28;
-/// Quotients told in unary before the code widens.
-const UNARY_MAX: u32 = 3;
+/// Pixels after which the order of the gaps is chosen again.
+pub(crate) const TERM_PIXELS: u32 = 32;
+/// From log2 of the way that a term's pixels took to the order of the gaps: an eighth of the mean.
+pub(crate) const TERM_SHIFT: u32 = 8;
+/// A way of over twice what is to be expected is no longer than that.
+const TERM_LIMIT_SHIFT: u32 = 6;
 
-/// What follows an event in its pixel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(u8)]
-enum Then {
-    /// Nothing.
-    End = 0,
-    /// An event of the same polarity.
-    Same = 1,
-    /// An event of the other one.
-    Flip = 2,
-}
-
-impl Then {
-    const fn of(index: u32) -> Self {
-        match index {
-            0 => Self::End,
-            1 => Self::Same,
-            _ => Self::Flip,
-        }
-    }
-}
-
-/// Up to 32 bits on their way.
-#[derive(Debug, Clone, Copy)]
-struct Piece {
-    code: u32,
-    bits: u32,
-}
-
-impl Piece {
-    const NONE: Self = Self::of(0, 0);
-
-    /// The low `bits` bits of `code`, which has no others.
-    #[inline(always)]
-    const fn of(code: u32, bits: u32) -> Self {
-        Self { code, bits }
-    }
-
-    #[inline(always)]
-    fn put(self, writer: &mut BitWriter<'_>) {
-        writer.put_clean(self.code, self.bits);
-    }
-
-    /// Appends another, after what was there has been put where both are too long for a word.
-    #[inline(always)]
-    fn then(&mut self, other: Self, writer: &mut BitWriter<'_>) {
-        if self.bits + other.bits < u32::BITS {
-            self.code |= other.code << self.bits;
-            self.bits += other.bits;
-        } else {
-            self.put(writer);
-            *self = other;
-        }
-    }
-}
+/// What comes after an event that is not its pixel's first, in two bits or, for the same polarity
+/// again, in the first of these.
+pub(crate) const END: u32 = 0b10;
+/// An event of the other polarity.
+pub(crate) const FLIP: u32 = 0b11;
 
 /// What both sides know of the events that went by.
 #[derive(Debug, Clone)]
 pub struct Fast {
     cells: u32,
-    time_bits: u32,
+    cell_bits: u32,
+    /// Places in a row: the sensor's width in whole segments.
+    row: u32,
+    height: u32,
     width: u32,
-    pixels_of_sensor: u32,
-    next_index: u32,
-    gap_mean_q3: u32,
-    gap_max: u32,
-    distance_means_q3: [u32; 2],
-    counts: [u32; 3],
-    favourite: u32,
-    /// Codes of what follows an event.
-    codes: [Piece; 3],
-    /// Most pixels have a single event, which is not told of each.
-    is_sparse: bool,
+    pub(crate) gaps: Gaps,
+    pub(crate) orders: Orders,
+    order_mask: u8,
 }
+
+/// How gaps between pixels are told.
+#[derive(Debug, Clone, Copy)]
+#[repr(C)]
+pub(crate) struct Gaps {
+    /// Place after the last pixel's.
+    pub(crate) next: u32,
+    /// The same when the term began.
+    pub(crate) term_start: u32,
+    /// Pixels left of the term.
+    pub(crate) term_left: u32,
+    /// Longest way that a term is taken to have.
+    pub(crate) term_max: u32,
+    /// 2^order, and a bit below it for whether the pixel has a single event.
+    pub(crate) base: u32,
+    /// Bits of a gap and that bit, of the first event's cell and its polarity, plus twice the
+    /// leading zeros of the first two.
+    pub(crate) bits: u32,
+}
+
+/// Orders of the distances, by twice the polarity before plus the one after.
+pub(crate) type Orders = [u8; 4];
 
 /// How bytes are not a frame's events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -120,174 +85,216 @@ impl From<Ended> for Malformed {
     }
 }
 
-const fn last_but(favourite: u32) -> u32 {
-    if favourite == Then::Flip as u32 {
-        Then::Same as u32
-    } else {
-        Then::Flip as u32
+/// What of a pixel has been written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Written {
+    /// So many of its events.
+    pub events: u32,
+    /// They are all.
+    pub is_whole: bool,
+}
+
+/// A pixel's events are not in order; nothing of it has been written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Unordered;
+
+/// floor(log2 x), and 0 for 0.
+const fn log2(x: u32) -> u32 {
+    (x | 1).leading_zeros() ^ 31
+}
+
+impl Gaps {
+    const fn new(sensor: Sensor, window_events: u32, cell_bits: u32) -> Self {
+        let events = if window_events == 0 { 1 } else { window_events };
+        let gap = row(sensor) * sensor.height as u32 / events;
+        let mut gaps = Self {
+            next: 0,
+            term_start: 0,
+            term_left: TERM_PIXELS,
+            term_max: (gap + 1) << TERM_LIMIT_SHIFT,
+            base: 0,
+            bits: 0,
+        };
+        gaps.set((gap + 1) * TERM_PIXELS, cell_bits);
+        gaps
+    }
+
+    const fn set(&mut self, way: u32, cell_bits: u32) {
+        let order = log2(way).saturating_sub(TERM_SHIFT);
+        self.base = 2 << (order & 31);
+        self.bits = 64 + cell_bits - 1 - order;
+    }
+
+    const fn order(&self) -> u32 {
+        log2(self.base) - 1
+    }
+
+    /// A pixel at `place` is complete.
+    #[inline(always)]
+    fn step(&mut self, place: u32, cell_bits: u32) {
+        self.next = place + 1;
+        self.term_left -= 1;
+        if self.term_left == 0 {
+            let way = self.next - self.term_start;
+            self.set(way.min(self.term_max), cell_bits);
+            self.term_start = self.next;
+            self.term_left = TERM_PIXELS;
+        }
     }
 }
 
-/// A one for the favourite; for the others a zero, and which of them.
-const fn codes(favourite: u32) -> [Piece; 3] {
-    let mut codes = [Piece::of(0, 2); 3];
-    let mut i = 0;
-    while i < codes.len() {
-        if i as u32 == favourite {
-            codes[i] = Piece::of(1, 1);
-        } else if i as u32 == last_but(favourite) {
-            codes[i] = Piece::of(2, 2);
-        }
-        i += 1;
-    }
-    codes
+const fn row(sensor: Sensor) -> u32 {
+    (sensor.width as u32).next_multiple_of(SEGMENT_PIXELS as u32)
 }
 
 impl Fast {
     /// The start of a frame of a window of `window_events` events in `cells` cells.
     #[must_use]
     pub const fn new(sensor: Sensor, window_events: u32, cells: u32) -> Self {
-        let pixels = sensor.pixels();
-        let events = if window_events == 0 { 1 } else { window_events };
-        let gap = pixels / events;
         let cells = if cells == 0 { 1 } else { cells };
-        let half = cells / 2;
-        let half = if half < DISTANCE_MAX {
-            half
-        } else {
-            DISTANCE_MAX
-        };
+        let cell_bits = u32::BITS - (cells - 1).leading_zeros();
+        // Half of the window.
+        let order = cell_bits.saturating_sub(2) as u8;
+        // A value of 2^32 - 1 has a code of order 0 alone.
+        let is_long = cell_bits == u32::BITS;
         Self {
             cells,
-            time_bits: u32::BITS - (cells - 1).leading_zeros(),
+            cell_bits,
+            row: row(sensor),
+            height: sensor.height as u32,
             width: sensor.width as u32,
-            pixels_of_sensor: pixels,
-            next_index: 0,
-            gap_mean_q3: gap << MEAN_SHIFT,
-            gap_max: (gap << MEAN_SHIFT) + 8,
-            distance_means_q3: [half << MEAN_SHIFT; 2],
-            counts: [0; 3],
-            favourite: Then::End as u32,
-            codes: codes(Then::End as u32),
-            is_sparse: false,
+            gaps: Gaps::new(sensor, window_events, cell_bits),
+            orders: if is_long { [0; 4] } else { [order; 4] },
+            order_mask: if is_long { 0 } else { u8::MAX },
         }
     }
 
-    #[inline(always)]
-    const fn gap_order(&self) -> u32 {
-        match (self.gap_mean_q3 >> (MEAN_SHIFT + 1)).checked_ilog2() {
-            Some(order) => order,
-            None => 0,
-        }
+    /// Places in a row.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn row(&self) -> u32 {
+        self.row
     }
 
-    #[inline(always)]
-    fn learn_gap(&mut self, gap: u32) {
-        let mean = self.gap_mean_q3;
-        self.gap_mean_q3 = mean - (mean >> MEAN_SHIFT) + gap.min(self.gap_max);
+    /// Bits of a cell.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn cell_bits(&self) -> u32 {
+        self.cell_bits
     }
 
-    /// Order of the code of a distance from `cell`, by whether the polarity flips.
+    /// Learns the order after a distance whose code was of `zeros` leading zeros.
     #[inline(always)]
-    fn distance_order(&self, flips: usize, cell: u32) -> u32 {
-        let order = (self.distance_means_q3[flips & 1] >> MEAN_SHIFT)
-            .checked_ilog2()
-            .unwrap_or(0);
-        let longest = self.cells - 1 - cell;
-        order.min(u32::BITS - longest.leading_zeros())
+    fn learn(&mut self, polarities: usize, zeros: u32) {
+        // One less than the bits below the highest.
+        let order = 30_u32.saturating_sub(zeros) as u8;
+        self.orders[polarities % 4] = order & self.order_mask;
     }
 
-    #[inline(always)]
-    fn learn_distance(&mut self, flips: usize, distance: u32) {
-        let mean = &mut self.distance_means_q3[flips & 1];
-        *mean = *mean - (*mean >> MEAN_SHIFT) + distance.min(DISTANCE_MAX);
-    }
-
-    /// A pixel is complete.
-    #[inline(always)]
-    fn learn_pixel(&mut self) {
-        let [ends, sames, flips] = self.counts;
-        if ends % TERM_PIXELS == 0 {
-            self.favourite = if ends >= sames && ends >= flips {
-                Then::End as u32
-            } else if sames >= flips {
-                Then::Same as u32
-            } else {
-                Then::Flip as u32
-            };
-            self.codes = codes(self.favourite);
-            // Fewer than 5 events in 4 pixels.
-            self.is_sparse = 4 * (sames + flips) < ends;
-        }
-    }
-
-    /// Writes a pixel's events, cells ascending, as long as there is room; returns how many of them.
+    /// Writes a pixel's events, cells ascending, as long as there is room.
     ///
     /// `writer` has [`ROOM_WORDS`] of room before.
+    ///
+    /// # Errors
+    /// [`Unordered`].
     #[inline(always)]
     pub fn write(
         &mut self,
         (x, y): (u16, u16),
         mut events: impl Iterator<Item = (u32, bool)>,
-        writer: &mut BitWriter<'_>,
-    ) -> u32 {
-        let Some((mut cell, mut on)) = events.next() else {
-            return 0;
+        writer: &mut BigWriter<'_>,
+    ) -> Result<Written, Unordered> {
+        let mut written = Written {
+            events: 0,
+            is_whole: true,
         };
-        let mut next = events.next();
-        let index = u32::from(y) * self.width + u32::from(x);
-        let gap = index - self.next_index;
-        let order = self.gap_order();
-        let is_sparse = self.is_sparse;
-        if is_sparse && next.is_some() {
-            writer.put_exp_golomb(0, order);
-        }
-        writer.put_exp_golomb(gap + u32::from(is_sparse), order);
-        self.learn_gap(gap);
-        self.next_index = index + 1;
-        // What is told with a word at once goes out with what follows it.
-        let mut told = Piece::of(u32::from(on), 1);
-        told.then(Piece::of(cell, self.time_bits), writer);
-        let mut written = 1;
-        let mut is_first_of_sparse = is_sparse;
-        while let Some((next_cell, next_on)) = next {
-            let flips = usize::from(next_on != on);
-            if is_first_of_sparse {
-                told.then(Piece::of(flips as u32, 1), writer);
-                is_first_of_sparse = false;
-            } else {
-                told.then(self.codes[1 + flips], writer);
+        let Some((cell, on)) = events.next() else {
+            return Ok(written);
+        };
+        let place = u32::from(y) * self.row + u32::from(x);
+        let gap = place - self.gaps.next;
+        let first = 2 * gap + self.gaps.base;
+        written.events = 1;
+        match events.next() {
+            None => {
+                let first = first + 1;
+                let bits = self.gaps.bits - 2 * first.leading_zeros();
+                put_first(
+                    writer,
+                    first,
+                    (cell, self.cell_bits),
+                    (u32::from(on), 1),
+                    bits,
+                );
             }
-            self.counts[1 + flips] += 1;
-            let distance = next_cell - cell;
-            let order = self.distance_order(flips, cell);
-            let quotient = distance >> order;
-            if quotient < UNARY_MAX {
-                // Zeros, a one, and the low bits.
-                let low = distance & ((1 << order) - 1);
-                let code = (low << 1 | 1) << quotient;
-                told.then(Piece::of(code, quotient + 1 + order), writer);
-            } else {
-                told.then(Piece::of(0, UNARY_MAX), writer);
-                told.put(writer);
-                told = Piece::NONE;
-                writer.put_exp_golomb(distance - (UNARY_MAX << order), order);
-            }
-            self.learn_distance(flips, distance);
-            (cell, on) = (next_cell, next_on);
-            written += 1;
-            next = events.next();
-            if next.is_some() && !writer.has_words(ROOM_WORDS) {
-                break;
+            Some((next, next_on)) => {
+                let before = (writer.position(), self.orders);
+                let bits = self.gaps.bits + 1 - 2 * first.leading_zeros();
+                let signs = u32::from(on) << 1 | u32::from(next_on);
+                put_first(writer, first, (cell, self.cell_bits), (signs, 2), bits);
+                let further = Further {
+                    cell,
+                    next,
+                    polarities: signs as usize,
+                };
+                match self.write_further(further, &mut events, writer) {
+                    Ok(further) => {
+                        written.events += further.events;
+                        written.is_whole = further.is_whole;
+                    }
+                    Err(unordered) => {
+                        writer.rewind(before.0);
+                        self.orders = before.1;
+                        return Err(unordered);
+                    }
+                }
             }
         }
-        if !is_first_of_sparse {
-            told.then(self.codes[Then::End as usize], writer);
+        self.gaps.step(place, self.cell_bits);
+        Ok(written)
+    }
+
+    #[inline(always)]
+    fn write_further(
+        &mut self,
+        further: Further,
+        events: &mut impl Iterator<Item = (u32, bool)>,
+        writer: &mut BigWriter<'_>,
+    ) -> Result<Written, Unordered> {
+        let Further {
+            mut cell,
+            mut next,
+            mut polarities,
+        } = further;
+        let mut events_written = 0;
+        // What comes before the distance, and its bits.
+        let mut prefix = (0, 0);
+        loop {
+            let distance = next.checked_sub(cell).ok_or(Unordered)?;
+            let order = u32::from(self.orders[polarities % 4]);
+            // Below 2^32: see `order_mask`.
+            let raised = distance + (1 << (order & 31));
+            let zeros = raised.leading_zeros();
+            self.learn(polarities, zeros);
+            let bits = 63 - order - 2 * zeros;
+            events_written += 1;
+            let has_room = writer.has_words(ROOM_WORDS);
+            let after = events.next();
+            let Some((after, on)) = after.filter(|_| has_room) else {
+                put_distance(writer, prefix, (raised, bits), (END, 2));
+                return Ok(Written {
+                    events: events_written,
+                    is_whole: after.is_none(),
+                });
+            };
+            put_distance(writer, prefix, (raised, bits), (0, 0));
+            (cell, next) = (next, after);
+            polarities = (polarities << 1 | usize::from(on)) & 3;
+            prefix = match polarities {
+                0b00 | 0b11 => (0, 1),
+                _ => (FLIP, 2),
+            };
         }
-        told.put(writer);
-        self.counts[0] += 1;
-        self.learn_pixel();
-        written
     }
 
     /// Reads a frame's `events` events; `each` gets their columns, rows, cells and polarities.
@@ -297,107 +304,137 @@ impl Fast {
     pub fn read(
         mut self,
         events: u32,
-        reader: &mut BitReader<'_>,
+        reader: &mut BigReader<'_>,
         mut each: impl FnMut((u16, u16), u32, bool),
     ) -> Result<u32, Malformed> {
         let mut left = events;
         let mut pixels = 0;
+        // The row at hand, and its first place.
+        let (mut y, mut start) = (0, 0);
         while left > 0 {
-            let order = self.gap_order();
-            let mut gap = reader.get_exp_golomb(order)?;
-            let (mut is_told, mut goes_on) = (true, true);
-            if self.is_sparse {
-                goes_on = gap == 0;
-                is_told = false;
-                if gap == 0 {
-                    gap = reader.get_exp_golomb(order)?;
+            // The bit below the gap comes as if it were a part of it.
+            let raised = reader.get_raised(self.gaps.order())?;
+            let gap = raised - self.gaps.base / 2;
+            let place = self.gaps.next.checked_add(gap);
+            let place = place.ok_or(Malformed::Position)?;
+            while place - start >= self.row {
+                (y, start) = (y + 1, start + self.row);
+                if y >= self.height {
+                    return Err(Malformed::Position);
                 }
-                gap = gap.checked_sub(1).ok_or(Malformed::Position)?;
             }
-            let index = self.next_index.checked_add(gap);
-            let index = index.filter(|index| *index < self.pixels_of_sensor);
-            let index = index.ok_or(Malformed::Position)?;
-            self.learn_gap(gap);
-            self.next_index = index + 1;
-            let position = ((index % self.width) as u16, (index / self.width) as u16);
-            let mut on = reader.get(1)? == 1;
-            let mut cell = reader.get(self.time_bits)?;
+            let x = place - start;
+            if x >= self.width {
+                return Err(Malformed::Position);
+            }
+            let position = (x as u16, y as u16);
+            let is_single = reader.get(1)? == 1;
+            let mut cell = reader.get(self.cell_bits)?;
             if cell >= self.cells {
                 return Err(Malformed::Time);
             }
-            each(position, cell, on);
+            let on = reader.get(1)?;
+            each(position, cell, on == 1);
             left -= 1;
-            while goes_on {
-                let then = if is_told {
-                    self.get_then(reader)?
-                } else {
-                    Then::of(1 + reader.get(1)?)
-                };
-                is_told = true;
-                goes_on = then != Then::End;
-                if !goes_on {
-                    break;
-                }
+            self.gaps.step(place, self.cell_bits);
+            pixels += 1;
+            if is_single {
+                continue;
+            }
+            let mut polarities = on << 1 | reader.get(1)?;
+            loop {
                 left = left.checked_sub(1).ok_or(Malformed::Events)?;
-                let flips = usize::from(then == Then::Flip);
-                self.counts[1 + flips] += 1;
-                let distance = self.get_distance(flips, cell, reader)?;
+                let distance = self.get_distance(polarities as usize, reader)?;
                 let next = cell.checked_add(distance);
                 cell = next
                     .filter(|cell| *cell < self.cells)
                     .ok_or(Malformed::Time)?;
-                on ^= flips == 1;
-                each(position, cell, on);
+                let on = polarities & 1;
+                each(position, cell, on == 1);
+                let is_other = reader.get(1)?;
+                if is_other == 1 && reader.get(1)? == 0 {
+                    break;
+                }
+                polarities = on << 1 | (on ^ is_other);
             }
-            self.counts[0] += 1;
-            self.learn_pixel();
-            pixels += 1;
         }
         Ok(pixels)
-    }
-
-    /// The last of what is told with two bits, the second of them set.
-    #[inline(always)]
-    const fn last_but_favourite(&self) -> u32 {
-        last_but(self.favourite)
-    }
-
-    #[inline(always)]
-    fn get_then(&self, reader: &mut BitReader<'_>) -> Result<Then, Ended> {
-        if reader.get(1)? == 1 {
-            return Ok(Then::of(self.favourite));
-        }
-        // Of the other two the latter, or the one that is left.
-        let last = self.last_but_favourite();
-        let is_last = reader.get(1)? == 1;
-        Ok(Then::of(if is_last {
-            last
-        } else {
-            3 - last - self.favourite
-        }))
     }
 
     #[inline(always)]
     fn get_distance(
         &mut self,
-        flips: usize,
-        cell: u32,
-        reader: &mut BitReader<'_>,
-    ) -> Result<u32, Malformed> {
-        let order = self.distance_order(flips, cell);
-        let quotient = reader.get_unary(UNARY_MAX)?;
-        let distance = if quotient < UNARY_MAX {
-            let low = reader.get(order)?;
-            quotient
-                .checked_shl(order)
-                .and_then(|high| high.checked_add(low))
-        } else {
-            let more = reader.get_exp_golomb(order)?;
-            more.checked_add(UNARY_MAX << order)
-        };
-        let distance = distance.ok_or(Malformed::Time)?;
-        self.learn_distance(flips, distance);
-        Ok(distance)
+        polarities: usize,
+        reader: &mut BigReader<'_>,
+    ) -> Result<u32, Ended> {
+        let order = u32::from(self.orders[polarities % 4]);
+        let raised = reader.get_raised(order)?;
+        self.learn(polarities, raised.leading_zeros());
+        Ok(raised - (1 << (order & 31)))
+    }
+}
+
+/// A pixel's second event, before it is written.
+#[derive(Clone, Copy)]
+struct Further {
+    /// Cell of the first.
+    cell: u32,
+    /// Its own.
+    next: u32,
+    /// As [`Orders`] has them.
+    polarities: usize,
+}
+
+/// Puts what is told of a pixel's place, its first event's cell and polarity, and that of a second
+/// one: of `bits` bits all together, those of the last two are beside them.
+#[inline(always)]
+fn put_first(
+    writer: &mut BigWriter<'_>,
+    place: u32,
+    (cell, cell_bits): (u32, u32),
+    (signs, sign_bits): (u32, u32),
+    bits: u32,
+) {
+    if bits <= CODE_BITS {
+        let event = Code::from(cell) << sign_bits | Code::from(signs);
+        let place = Code::from(place) << ((cell_bits + sign_bits) & (Code::BITS - 1));
+        writer.put(place | event, bits);
+    } else {
+        let place_bits = bits - cell_bits - sign_bits;
+        let parts = [(place, place_bits), (cell, cell_bits), (signs, sign_bits)];
+        writer.aside(|writer| put_long(writer, parts));
+    }
+}
+
+/// Puts a raised distance between what comes before and after it.
+#[inline(always)]
+fn put_distance(
+    writer: &mut BigWriter<'_>,
+    (prefix, prefix_bits): (u32, u32),
+    (raised, bits): (u32, u32),
+    (suffix, suffix_bits): (u32, u32),
+) {
+    let all = prefix_bits + bits + suffix_bits;
+    if all <= CODE_BITS {
+        let code = Code::from(prefix) << (bits & (Code::BITS - 1)) | Code::from(raised);
+        writer.put(code << suffix_bits | Code::from(suffix), all);
+    } else {
+        let parts = [(prefix, prefix_bits), (raised, bits), (suffix, suffix_bits)];
+        writer.aside(|writer| put_long(writer, parts));
+    }
+}
+
+/// Puts codes of 0 to 64 bits each, of which all but the last 32 are zeros.
+#[cold]
+#[inline(never)]
+fn put_long(writer: &mut BigWriter<'_>, parts: [(u32, u32); 3]) {
+    for (code, bits) in parts {
+        if bits > 32 {
+            writer.put(0, bits - 32);
+        }
+        if bits > 0 {
+            writer.put(Code::from(code), bits.min(32));
+        }
     }
 }
 
@@ -421,14 +458,20 @@ mod tests {
         let mut read = Pixels::new();
         while !left.is_empty() {
             let mut out = vec![0; out_bytes];
-            let mut writer = BitWriter::new(&mut out);
+            let mut writer = BigWriter::new(&mut out);
             let mut coder = Fast::new(sensor, events, cells);
             let (mut done, mut written) = (0, 0);
             for ((y, x), events) in &mut left {
                 if !writer.has_words(ROOM_WORDS) {
                     break;
                 }
-                let count = coder.write((*x, *y), events.iter().copied(), &mut writer);
+                let at = (*x, *y);
+                let count = coder.write(at, events.iter().copied(), &mut writer);
+                let Written {
+                    events: count,
+                    is_whole,
+                } = count.unwrap();
+                assert_eq!(is_whole, count as usize == events.len());
                 written += count;
                 *events = &events[count as usize..];
                 if !events.is_empty() {
@@ -436,9 +479,9 @@ mod tests {
                 }
                 done += 1;
             }
-            assert!(written > 0 && !writer.is_full());
+            assert!(written > 0);
             let bytes = writer.finish();
-            let mut reader = BitReader::new(&out[..bytes]);
+            let mut reader = BigReader::new(&out[..bytes]);
             let coder = Fast::new(sensor, events, cells);
             let mut each = |(x, y), cell, on| read.entry((y, x)).or_default().push((cell, on));
             coder.read(written, &mut reader, &mut each).unwrap();
@@ -481,7 +524,7 @@ mod tests {
             let mut count = 0;
             let read = Fast::new(sensor, window_events, cells).read(
                 events,
-                &mut BitReader::new(&bytes),
+                &mut BigReader::new(&bytes),
                 |(x, y), cell, _| {
                     assert!(x < width && y < height && cell < cells);
                     count += 1;

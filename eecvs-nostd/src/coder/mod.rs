@@ -4,6 +4,7 @@
 //! group -> cells -> fast or dense -> frame
 //! ```
 
+pub mod big_bits;
 pub mod cells;
 pub mod chain;
 pub mod content;

@@ -1,7 +1,7 @@
 //! Events of hybrid frames.
 
 use anyhow::{Context, Result};
-use eecvs_nostd::bits::BitReader;
+use eecvs_nostd::coder::big_bits::BigReader;
 use eecvs_nostd::coder::content::{Content, END, Node};
 use eecvs_nostd::coder::dense::{Dense, DenseMemory, PROBABILITIES, words};
 use eecvs_nostd::coder::fast::Fast;
@@ -126,7 +126,7 @@ fn event(header: &Header, times: Times, (x, y): (u16, u16), told: u32, on: bool)
 
 fn fast(header: &Header, payload: &[u8], times: Times) -> Result<Vec<Event>, Refused> {
     let coder = Fast::new(header.sensor, header.window_events, times.count());
-    let mut reader = BitReader::new(payload);
+    let mut reader = BigReader::new(payload);
     // An event takes a bit at the least: so much and no more is believed before it is read.
     let believed = payload.len().saturating_mul(8).min(header.events as usize);
     let mut events = Vec::with_capacity(believed);
