@@ -8,8 +8,12 @@ pub mod cells;
 pub mod chain;
 pub mod content;
 pub mod dense;
+mod dense_times;
 pub mod fast;
+pub mod model;
+mod neighbourhood;
 pub mod range;
+pub mod symbols;
 
 pub use cells::{Cells, Fidelity};
 
