@@ -37,7 +37,7 @@ const RATES: [Rates; 9] = [
     rates("gen3_vga_dense_evt2/evt2.raw", [11.45, 8.5, 3.2, 1.35]),
     rates(
         "dvxl_person_moderate/data_sample.aedat4",
-        [19.3, 17.2, 10.75, 5.6],
+        [19.3, 17.25, 10.75, 5.6],
     ),
     rates(
         "davis240_boxes_moderate/IMU_translBoxes.aedat",
