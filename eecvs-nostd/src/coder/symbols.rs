@@ -102,7 +102,7 @@ impl<const N: usize> Symbols<N> {
         // The block's length was a power of two, from what had been seen.
         let block = block(self.seen.saturating_sub(N as u16 / 8));
         let seen = (self.seen + u16::from(block)).min(SEEN_MAX);
-        let rate = ((u32::from(block) << 16) / u32::from(seen)) as i32;
+        let rate = ((u32::from(block) << 16) / u32::from(seen.max(1))) as i32;
         // What there is beyond one each, for one of the block.
         let each = ((SCALE - Self::COUNT) / u32::from(block)) as i32;
         let (mut begin, mut at) = (0_i32, 0_i32);
