@@ -2,7 +2,7 @@
 //! their losses.
 
 use eecvs_nostd::coder::dense::{self, DenseMemory};
-use eecvs_nostd::coder::range::Probability;
+use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{
     Axis, Coder, Config, Event, Fidelity, Frame, Header, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity,
@@ -312,14 +312,14 @@ fn a_window_beyond_the_dense_coders_memory_is_a_fast_frame() {
         coder: Coder::Dense,
         fidelity: Fidelity::Lossless,
     });
-    let mut probabilities = vec![Probability::EVEN; dense::PROBABILITIES];
+    let mut model = Box::new(Model::UNSET);
     let mut words = vec![0; dense::words(small, true)];
     let scratch = Scratch {
         sums: &mut [],
         totals: &mut [],
         magnitudes: &mut [],
         dense: Some(DenseMemory {
-            probabilities: &mut probabilities,
+            model: &mut model,
             words: &mut words,
         }),
         hot: &[],

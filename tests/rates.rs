@@ -28,7 +28,7 @@ struct Rates {
 const RATES: [Rates; 9] = [
     rates(
         "davis346_building_dense/davis.aedat4",
-        [17.35, 15.1, 8.5, 4.15],
+        [17.35, 15.2, 8.55, 4.15],
     ),
     rates(
         "davis346_static_sparse/davis346.aedat4",

@@ -176,6 +176,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         let mut content = Pixels {
             pixel: None,
             at: 0,
+            slot: Slot::EMPTY,
             rest: 0,
             row: 0,
             segment: 0,
@@ -212,9 +213,11 @@ fn nth(slots: &[Slot], mut at: u32, count: u32) -> u32 {
 /// The window as the dense coder asks for it.
 struct Pixels<'p, 'e, 'w, 'b> {
     encoder: &'p mut EventEncoder<'e, 'w, 'b>,
-    /// The pixel at hand, the slot of its next event, and how many are left of it.
+    /// The pixel at hand, the slot of its next event, by number and content, and how many are left of
+    /// it.
     pixel: Option<Pixel>,
     at: u32,
+    slot: Slot,
     rest: u32,
     row: u16,
     segment: u16,
@@ -228,9 +231,11 @@ impl Pixels<'_, '_, '_, '_> {
         group.peek(window)
     }
 
-    fn slot(&self) -> Slot {
+    #[inline(always)]
+    fn go_to(&mut self, at: u32) {
         let slots = self.encoder.window.slots_now();
-        slots.get(self.at as usize).copied().unwrap_or(Slot::EMPTY)
+        self.at = at;
+        self.slot = slots.get(at as usize).copied().unwrap_or(Slot::EMPTY);
     }
 }
 
@@ -255,10 +260,12 @@ impl Content for Pixels<'_, '_, '_, '_> {
     fn enter(&mut self, _position: (u16, u16)) -> u32 {
         // It was asked for: there is one.
         self.pixel = self.encoder.next();
-        (self.at, self.rest) = self
+        let (head, events) = self
             .pixel
             .map_or((0, 0), |pixel| (pixel.head, pixel.on + pixel.off));
-        self.at
+        self.rest = events;
+        self.go_to(head);
+        head
     }
 
     #[inline(always)]
@@ -268,13 +275,12 @@ impl Content for Pixels<'_, '_, '_, '_> {
 
     #[inline(always)]
     fn peek(&self) -> (u32, bool) {
-        let slot = self.slot();
-        (slot.offset_us(), slot.is_on())
+        (self.slot.offset_us(), self.slot.is_on())
     }
 
     #[inline(always)]
     fn take(&mut self, _cell: u32, _on: bool) {
-        self.at = self.slot().next();
+        self.go_to(self.slot.next());
         self.rest = self.rest.saturating_sub(1);
         self.left = self.left.saturating_sub(1);
     }

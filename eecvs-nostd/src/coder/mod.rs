@@ -9,9 +9,13 @@ pub mod cells;
 pub mod chain;
 pub mod content;
 pub mod dense;
+mod dense_times;
 pub mod fast;
+pub mod model;
+mod neighbourhood;
 pub mod range;
 pub mod scan;
+pub mod symbols;
 pub mod times;
 
 pub use cells::{Cells, Fidelity};

@@ -1,12 +1,14 @@
-//! Adaptive binary range coder: decisions with learned probabilities, and plain bits.
+//! Adaptive range coder: decisions and symbols with learned probabilities, and what is as likely as
+//! all else.
 //!
-//! A decision costs -log2 p bits, p being the learned probability of what happened: within 0.1 % of
-//! it, as the range keeps at least 24 bits. One trait serves both directions, so that a model is
-//! written once.
+//! What happened costs -log2 p bits, p being its learned probability: within 0.1 % of it, as the range
+//! keeps at least 24 bits. One trait serves both directions, so that a model is written once.
+
+use super::symbols::Symbols;
 
 /// Probability of a one, learned from the decisions made with it: 16 bits.
 ///
-/// The upper 13 are the probability in units of 2^-13, always within 43 / 8192 of neither 0 nor 1;
+/// The upper 13 are the probability in units of 2^-13, always within 50 / 8192 of neither 0 nor 1;
 /// the lower 3 count the first decisions, of which each moves it by less than the one before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -15,9 +17,24 @@ pub struct Probability(u16);
 
 const ONE: u32 = 1 << 13;
 const COUNT_BITS: u32 = 3;
+const COUNT_MASK: u32 = (1 << COUNT_BITS) - 1;
 /// How far a decision moves the probability, by the decisions before it, in units of 2^-16: from a
-/// half to 1/50.
-const RATES: [u16; 1 << COUNT_BITS] = [32768, 21845, 16384, 10923, 8192, 5461, 3641, 1311];
+/// half to 1/50. The lowest three bits, too small to matter there, are the count that comes next.
+const RATES: [u16; 1 << COUNT_BITS] = {
+    let rates = [32768, 21845, 16384, 10923, 8192, 5461, 3641, 1311];
+    let mut next = [0; 1 << COUNT_BITS];
+    let mut count = 0;
+    while count < rates.len() {
+        let after = if count + 1 < rates.len() {
+            count + 1
+        } else {
+            count
+        };
+        next[count] = rates[count] & !(COUNT_MASK as u16) | after as u16;
+        count += 1;
+    }
+    next
+};
 
 impl Probability {
     /// All zero, for memory in `.bss`; to be set before use.
@@ -36,16 +53,15 @@ impl Probability {
     /// Learns from a decision.
     #[inline(always)]
     pub const fn learn(&mut self, bit: bool) {
-        let (p, count) = (self.of_one(), self.0 & ((1 << COUNT_BITS) - 1));
-        let rate = RATES[count as usize] as u32;
+        let rate = RATES[(self.0 as u32 & COUNT_MASK) as usize] as u32;
         // Rounded towards where it is, which keeps it off both ends.
+        let p = self.of_one();
         let p = if bit {
             p + (((ONE - p) * rate) >> 16)
         } else {
             p - ((p * rate) >> 16)
         };
-        let is_young = (count < (1 << COUNT_BITS) - 1) as u16;
-        self.0 = ((p as u16) << COUNT_BITS) | (count + is_young);
+        self.0 = ((p << COUNT_BITS) | (rate & COUNT_MASK)) as u16;
     }
 }
 
@@ -55,8 +71,19 @@ pub trait Binary {
     /// A decision with a probability, which learns from it.
     fn bit(&mut self, probability: &mut Probability, bit: bool) -> bool;
 
-    /// A decision with the mean of two probabilities, which both learn from it.
-    fn bit_of_two(&mut self, a: &mut Probability, b: &mut Probability, bit: bool) -> bool;
+    /// A symbol of a table, which learns from it.
+    fn symbol<const N: usize>(&mut self, table: &mut Symbols<N>, symbol: usize) -> usize;
+
+    /// The same of the symbols up to `last` alone.
+    fn symbol_up_to<const N: usize>(
+        &mut self,
+        table: &mut Symbols<N>,
+        symbol: usize,
+        last: usize,
+    ) -> usize;
+
+    /// A number below `count`, which is 1 to 32, each as likely as the others.
+    fn one_of(&mut self, number: u32, count: u32) -> u32;
 
     /// The low `count` (0 to 32) bits of `value`, each as likely 0 as 1.
     fn plain(&mut self, value: u32, count: u32) -> u32;
@@ -64,6 +91,19 @@ pub trait Binary {
     /// Whether there is room for so many bytes more; of a decoder, whether all it read was there.
     fn has_room(&self, bytes: usize) -> bool;
 }
+
+/// What the shares of a table's symbols add up to.
+pub const SCALE: u32 = 1 << 15;
+
+/// Floor of 2^16 / n: a division less.
+const SHARES: [u32; 33] = {
+    let (mut shares, mut n) = ([1 << 16; 33], 1);
+    while n < shares.len() {
+        shares[n] = (1 << 16) / n as u32;
+        n += 1;
+    }
+    shares
+};
 
 /// Fewer bits are left in the range than a decision needs: time for a byte.
 const RANGE_MIN: u32 = 1 << 24;
@@ -102,32 +142,32 @@ impl<'o> RangeEncoder<'o> {
         let (low, carries) = self.low.overflowing_add(more);
         self.low = low;
         if carries {
-            self.carry();
-        }
-    }
-
-    #[cold]
-    #[inline(never)]
-    fn carry(&mut self) {
-        // Ends at the latest at the first byte: the number is below 1.
-        for byte in self.out.iter_mut().take(self.len).rev() {
-            *byte = byte.wrapping_add(1);
-            if *byte != 0 {
-                break;
-            }
+            carry(self.out, self.len);
         }
     }
 
     #[inline(always)]
     fn renew(&mut self) {
-        while self.range < RANGE_MIN {
-            if let Some(byte) = self.out.get_mut(self.len) {
-                *byte = (self.low >> 24) as u8;
-            }
-            self.len += 1;
-            self.low <<= 8;
-            self.range <<= 8;
+        if self.range < RANGE_MIN {
+            self.push();
         }
+    }
+
+    #[inline(always)]
+    fn push(&mut self) {
+        if let Some(byte) = self.out.get_mut(self.len) {
+            *byte = (self.low >> 24) as u8;
+        }
+        self.len += 1;
+        self.low <<= 8;
+        self.range <<= 8;
+    }
+
+    /// After what takes up to 15 bits off the range.
+    #[inline(always)]
+    fn renew_twice(&mut self) {
+        self.renew();
+        self.renew();
     }
 
     #[inline(always)]
@@ -153,7 +193,7 @@ impl<'o> RangeEncoder<'o> {
             let rounded = rounded & !mask;
             if rounded.wrapping_sub(self.low) < self.range {
                 if carries {
-                    self.carry();
+                    carry(self.out, self.len);
                 }
                 self.low = rounded;
                 break;
@@ -171,6 +211,20 @@ impl<'o> RangeEncoder<'o> {
     }
 }
 
+/// Adds one to the last of the bytes written. It has the values it needs and no more, so that the
+/// encoder's may stay in registers.
+#[cold]
+#[inline(never)]
+fn carry(out: &mut [u8], len: usize) {
+    // Ends at the latest at the first byte: the number is below 1.
+    for byte in out.iter_mut().take(len).rev() {
+        *byte = byte.wrapping_add(1);
+        if *byte != 0 {
+            break;
+        }
+    }
+}
+
 impl Binary for RangeEncoder<'_> {
     #[inline(always)]
     fn bit(&mut self, probability: &mut Probability, bit: bool) -> bool {
@@ -180,11 +234,38 @@ impl Binary for RangeEncoder<'_> {
     }
 
     #[inline(always)]
-    fn bit_of_two(&mut self, a: &mut Probability, b: &mut Probability, bit: bool) -> bool {
-        self.decide((a.of_one() + b.of_one()) / 2, bit);
-        a.learn(bit);
-        b.learn(bit);
-        bit
+    fn symbol<const N: usize>(&mut self, table: &mut Symbols<N>, symbol: usize) -> usize {
+        let (begin, end) = table.share(symbol);
+        self.range /= SCALE;
+        self.add(begin * self.range);
+        self.range *= end - begin;
+        self.renew_twice();
+        table.learn(symbol);
+        symbol
+    }
+
+    #[inline(always)]
+    fn symbol_up_to<const N: usize>(
+        &mut self,
+        table: &mut Symbols<N>,
+        symbol: usize,
+        last: usize,
+    ) -> usize {
+        let (begin, end) = table.share(symbol);
+        self.range /= table.share(last).1.max(1);
+        self.add(begin * self.range);
+        self.range *= end - begin;
+        self.renew_twice();
+        table.learn(symbol);
+        symbol
+    }
+
+    #[inline(always)]
+    fn one_of(&mut self, number: u32, count: u32) -> u32 {
+        self.range = (self.range >> 16) * SHARES[(count as usize).min(SHARES.len() - 1)];
+        self.add(number * self.range);
+        self.renew();
+        number
     }
 
     #[inline]
@@ -195,7 +276,7 @@ impl Binary for RangeEncoder<'_> {
             left -= bits;
             self.range >>= bits;
             self.add(((value >> left) & ((1 << bits) - 1)) * self.range);
-            self.renew();
+            self.renew_twice();
         }
         value
     }
@@ -294,11 +375,44 @@ impl Binary for RangeDecoder<'_> {
     }
 
     #[inline(always)]
-    fn bit_of_two(&mut self, a: &mut Probability, b: &mut Probability, _bit: bool) -> bool {
-        let bit = self.decide((a.of_one() + b.of_one()) / 2);
-        a.learn(bit);
-        b.learn(bit);
-        bit
+    fn symbol<const N: usize>(&mut self, table: &mut Symbols<N>, _symbol: usize) -> usize {
+        self.range /= SCALE;
+        let symbol = table.find(self.code / self.range);
+        let (begin, end) = table.share(symbol);
+        // A number that no encoder writes may lie beyond the range.
+        self.code = self.code.wrapping_sub(begin * self.range);
+        self.range *= end - begin;
+        self.renew();
+        table.learn(symbol);
+        symbol
+    }
+
+    #[inline(always)]
+    fn symbol_up_to<const N: usize>(
+        &mut self,
+        table: &mut Symbols<N>,
+        _symbol: usize,
+        last: usize,
+    ) -> usize {
+        let all = table.share(last).1.max(1);
+        self.range /= all;
+        // A number that no encoder writes may lie beyond the range.
+        let symbol = table.find((self.code / self.range).min(all - 1));
+        let (begin, end) = table.share(symbol);
+        self.code = self.code.wrapping_sub(begin * self.range);
+        self.range *= end - begin;
+        self.renew();
+        table.learn(symbol);
+        symbol
+    }
+
+    #[inline(always)]
+    fn one_of(&mut self, _number: u32, count: u32) -> u32 {
+        self.range = (self.range >> 16) * SHARES[(count as usize).min(SHARES.len() - 1)];
+        let number = (self.code / self.range).min(count.saturating_sub(1));
+        self.code = self.code.wrapping_sub(number * self.range);
+        self.renew();
+        number
     }
 
     #[inline]
@@ -330,10 +444,19 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
+    type Learned = ([Probability; 6], Symbols<17>);
+
+    fn learned() -> Learned {
+        let mut table = Symbols::UNSET;
+        table.restart();
+        ([Probability::EVEN; 6], table)
+    }
+
     #[derive(Debug, Clone, Copy)]
     enum Code {
         Bit(usize, bool),
-        OfTwo(usize, usize, bool),
+        Symbol(usize, usize),
+        OneOf(u32, u32),
         Plain(u32, u32),
     }
 
@@ -342,7 +465,10 @@ mod tests {
             (0_usize..4, any::<bool>()).prop_map(|(i, bit)| Code::Bit(i, bit)),
             // Rare ones and rare zeros: the probabilities reach their ends.
             (0_usize..2, 0_u32..200).prop_map(|(i, x)| Code::Bit(4 + i, (x == 0) == (i == 0))),
-            (0_usize..4, 0_usize..6, any::<bool>()).prop_map(|(a, b, bit)| Code::OfTwo(a, b, bit)),
+            (0_usize..16, 0_usize..16).prop_map(|(a, b)| Code::Symbol(a.min(b), a.max(b))),
+            (1_u32..=32)
+                .prop_flat_map(|count| (0..count, Just(count)))
+                .prop_map(|(number, count)| Code::OneOf(number, count)),
             (0_u32..=32, any::<u32>()).prop_map(|(bits, value)| Code::Plain(
                 value & (u64::from(u32::MAX) >> (32 - bits)) as u32,
                 bits
@@ -351,15 +477,14 @@ mod tests {
         proptest::collection::vec(code, 0..2000)
     }
 
-    fn code(coder: &mut impl Binary, learned: &mut [Probability; 6], code: Code) -> Code {
+    fn code(coder: &mut impl Binary, learned: &mut Learned, code: Code) -> Code {
         match code {
-            Code::Bit(i, bit) => Code::Bit(i, coder.bit(&mut learned[i], bit)),
-            Code::OfTwo(a, b, bit) => {
-                let (mut first, mut second) = (learned[a], learned[b]);
-                let bit = coder.bit_of_two(&mut first, &mut second, bit);
-                (learned[a], learned[b]) = (first, second);
-                Code::OfTwo(a, b, bit)
+            Code::Bit(i, bit) => Code::Bit(i, coder.bit(&mut learned.0[i], bit)),
+            Code::Symbol(symbol, 15) => Code::Symbol(coder.symbol(&mut learned.1, symbol), 15),
+            Code::Symbol(symbol, last) => {
+                Code::Symbol(coder.symbol_up_to(&mut learned.1, symbol, last), last)
             }
+            Code::OneOf(number, count) => Code::OneOf(coder.one_of(number, count), count),
             Code::Plain(value, bits) => Code::Plain(coder.plain(value, bits), bits),
         }
     }
@@ -367,7 +492,8 @@ mod tests {
     fn blank(code: Code) -> Code {
         match code {
             Code::Bit(i, _) => Code::Bit(i, false),
-            Code::OfTwo(a, b, _) => Code::OfTwo(a, b, false),
+            Code::Symbol(_, last) => Code::Symbol(0, last),
+            Code::OneOf(_, count) => Code::OneOf(0, count),
             Code::Plain(_, bits) => Code::Plain(0, bits),
         }
     }
@@ -375,7 +501,7 @@ mod tests {
     fn written(codes: &[Code]) -> Vec<u8> {
         let mut out = vec![0xAA; 8 * codes.len() + 64];
         let mut encoder = RangeEncoder::new(&mut out);
-        let mut learned = [Probability::EVEN; 6];
+        let mut learned = learned();
         for each in codes {
             code(&mut encoder, &mut learned, *each);
         }
@@ -389,7 +515,7 @@ mod tests {
         fn what_is_written_is_read(codes in codes()) {
             let bytes = written(&codes);
             let mut decoder = RangeDecoder::new(&bytes);
-            let mut learned = [Probability::EVEN; 6];
+            let mut learned = learned();
             for each in &codes {
                 let read = code(&mut decoder, &mut learned, blank(*each));
                 prop_assert_eq!(std::format!("{read:?}"), std::format!("{each:?}"));
@@ -400,7 +526,7 @@ mod tests {
         #[test]
         fn any_bytes_are_read_without_a_panic(bytes in any::<Vec<u8>>(), codes in codes()) {
             let mut decoder = RangeDecoder::new(&bytes);
-            let mut learned = [Probability::EVEN; 6];
+            let mut learned = learned();
             for each in codes {
                 code(&mut decoder, &mut learned, each);
             }
@@ -428,7 +554,7 @@ mod tests {
             .collect();
         let bytes = written(&codes);
         let mut decoder = RangeDecoder::new(&bytes);
-        let mut learned = [Probability::EVEN; 6];
+        let mut learned = learned();
         for each in &codes {
             let read = code(&mut decoder, &mut learned, blank(*each));
             assert_eq!(std::format!("{read:?}"), std::format!("{each:?}"));

@@ -13,7 +13,7 @@ use critical_section::Mutex;
 use eecvs_firmware as _;
 use eecvs_nostd::coder::dense::DenseMemory;
 #[cfg(not(feature = "microbit"))]
-use eecvs_nostd::coder::{dense::PROBABILITIES, range::Probability};
+use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{
     Coder, Config, Encoder, Event, Fidelity, Hybrid, Filter, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Polarity,
@@ -44,10 +44,10 @@ type Small = Storage<400, SEGMENTS, { bitmap_words(SEGMENTS) }, 64>;
 
 /// Enough for the vectors' sensor, with the window before.
 #[cfg(not(feature = "microbit"))]
-type Dense = ([Probability; PROBABILITIES], [u32; 128]);
+type Dense = (Model, [u32; 128]);
 #[cfg(not(feature = "microbit"))]
 static DENSE: Mutex<RefCell<Dense>> = Mutex::new(RefCell::new((
-    [Probability::UNSET; PROBABILITIES],
+    Model::UNSET,
     [0; 128],
 )));
 
@@ -68,11 +68,8 @@ fn main() -> ! {
             }
             #[cfg(not(feature = "microbit"))]
             let dense = is_dense.then(|| {
-                let (probabilities, words) = &mut *dense;
-                DenseMemory {
-                    probabilities,
-                    words,
-                }
+                let (model, words) = &mut *dense;
+                DenseMemory { model, words }
             });
             #[cfg(feature = "microbit")]
             let dense = None;

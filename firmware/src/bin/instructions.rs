@@ -20,7 +20,7 @@ use cortex_m_semihosting::debug::{self, EXIT_FAILURE, EXIT_SUCCESS};
 use cortex_m_semihosting::hprintln;
 use eecvs_firmware as _;
 use eecvs_nostd::coder::dense::{self, DenseMemory};
-use eecvs_nostd::coder::range::Probability;
+use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::evt2::Evt2Decoder;
 use eecvs_nostd::{
     Coder, Config, Encoder, Fidelity, Hybrid, Filter, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser,
@@ -44,8 +44,7 @@ type Buffers = Storage<EVENTS, SEGMENTS, { bitmap_words(SEGMENTS) }, NUMBERS>;
 
 static mut STORAGE: Buffers = Storage::new();
 static mut OUT: [u8; 8192] = [0; 8192];
-static mut PROBABILITIES: [Probability; dense::PROBABILITIES] =
-    [Probability::UNSET; dense::PROBABILITIES];
+static mut MODEL: Model = Model::UNSET;
 /// Without the window before, as in the encoder's image.
 const DENSE_WORDS: usize = dense::words(SENSOR_MAX, false);
 static mut WORDS: [u32; DENSE_WORDS] = [0; DENSE_WORDS];
@@ -280,8 +279,8 @@ fn known_loop() -> u32 {
 fn main() -> ! {
     // SAFETY: `main` runs once, and nothing else uses these.
     #[allow(static_mut_refs)]
-    let (storage, out, probabilities, words) =
-        unsafe { (&mut STORAGE, &mut OUT, &mut PROBABILITIES, &mut WORDS) };
+    let (storage, out, model, words) =
+        unsafe { (&mut STORAGE, &mut OUT, &mut MODEL, &mut WORDS) };
     if let Some(peripherals) = Peripherals::take() {
         peripherals
             .RCC
@@ -318,12 +317,12 @@ fn main() -> ! {
             };
             let mut probe = Probe::new();
             let dense = DenseMemory {
-                probabilities: &mut *probabilities,
+                model: &mut *model,
                 words: &mut *words,
             };
             let whole = measure(config, cut.words, (storage, dense), out, &mut ());
             let dense = DenseMemory {
-                probabilities: &mut *probabilities,
+                model: &mut *model,
                 words: &mut *words,
             };
             let traced = measure(config, cut.words, (storage, dense), out, &mut probe);

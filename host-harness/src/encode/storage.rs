@@ -1,8 +1,8 @@
 //! Memory of an encoder on the host.
 
 use anyhow::{Context, Result, bail};
-use eecvs_nostd::coder::dense::{DenseMemory, PROBABILITIES, words};
-use eecvs_nostd::coder::range::Probability;
+use eecvs_nostd::coder::dense::{DenseMemory, words};
+use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::transform::GRID_MAX;
 use eecvs_nostd::window::Head;
@@ -19,7 +19,7 @@ pub struct HostStorage {
     sums: Vec<Sum>,
     totals: Vec<WideSum>,
     magnitudes: Vec<u32>,
-    probabilities: Vec<Probability>,
+    model: Box<Model>,
     words: Vec<u32>,
 }
 
@@ -81,7 +81,7 @@ impl HostStorage {
             sums: vec![Sum::ZERO; numbers],
             totals: vec![WideSum::ZERO; numbers],
             magnitudes: vec![0; numbers],
-            probabilities: vec![Probability::EVEN; PROBABILITIES],
+            model: Box::new(Model::UNSET),
             words: vec![0; words(sensor, true)],
         }
     }
@@ -120,7 +120,7 @@ impl HostStorage {
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
             dense: Some(DenseMemory {
-                probabilities: &mut self.probabilities,
+                model: &mut self.model,
                 words: &mut self.words,
             }),
             hot,

@@ -3,9 +3,10 @@
 use anyhow::{Context, Result};
 use eecvs_nostd::coder::big_bits::BigReader;
 use eecvs_nostd::coder::content::{Content, END, Node};
-use eecvs_nostd::coder::dense::{Dense, DenseMemory, PROBABILITIES, words};
+use eecvs_nostd::coder::dense::{Dense, DenseMemory, words};
 use eecvs_nostd::coder::fast::Fast;
-use eecvs_nostd::coder::range::{Probability, RangeDecoder};
+use eecvs_nostd::coder::model::Model;
+use eecvs_nostd::coder::range::RangeDecoder;
 use eecvs_nostd::{Coder, Config, Event, Frame, Header, Hybrid, Mode, Polarity, Push, Sensor};
 use eecvs_nostd::{Filter, Thresholds, Times, WindowConfig};
 
@@ -33,7 +34,7 @@ pub struct HybridDecoder {
 #[derive(Debug)]
 struct Chain {
     sensor: Sensor,
-    probabilities: Vec<Probability>,
+    model: Box<Model>,
     words: Vec<u32>,
     /// Number of the frame that goes on from here.
     next: u32,
@@ -43,7 +44,7 @@ impl Chain {
     fn new(sensor: Sensor) -> Self {
         Self {
             sensor,
-            probabilities: vec![Probability::EVEN; PROBABILITIES],
+            model: Box::new(Model::UNSET),
             words: vec![0; words(sensor, true)],
             next: 0,
         }
@@ -81,7 +82,7 @@ impl HybridDecoder {
                 .ok_or(Refused::Dependent)?
         };
         let mut memory = DenseMemory {
-            probabilities: &mut chain.probabilities,
+            model: &mut chain.model,
             words: &mut chain.words,
         };
         let mut dense = Dense::with_previous(header.sensor, header.has_previous, &mut memory)

@@ -1,0 +1,215 @@
+//! The contexts around a segment and its pixels: which neighbours have events, of which polarity.
+//!
+//! Everything is a word of 32 columns, a bit for each, so that what a column sees is the same bit of
+//! several words: its own, and those that were moved over by a column.
+
+/// Contexts of a segment's flag: four numbers of pixels, each 0, 1, 2 to 3, or more.
+pub(super) const SEGMENT_CONTEXTS: usize = 256;
+/// Contexts of a run's flag: the power of two that it is long, and how many pixels there are to the
+/// west and north.
+pub(super) const RUN_CONTEXTS: usize = 8 * 4;
+/// Contexts of a pixel's flag.
+pub(super) const PIXEL_CONTEXTS: usize = 1 << 9;
+/// Contexts of a first polarity: five neighbours, each without events, or with a first that
+/// is OFF or ON.
+pub(super) const POLARITY_CONTEXTS: usize = 3 * 3 * 3 * 3 * 3;
+
+/// The words of a segment's neighbours; [_; 3] are to the west, at it, and to the east.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Around {
+    /// Pixels with events, in this row so far and in the two above.
+    pub(super) west: u32,
+    pub(super) north: [u32; 3],
+    pub(super) far_north: u32,
+    /// Of the window before, here and to the east, and in the row below.
+    pub(super) old: [u32; 2],
+    pub(super) south: [u32; 3],
+    /// Polarity of the last event of the window before.
+    pub(super) old_on: u32,
+    /// Polarity of the first events, and anything where there are none.
+    pub(super) west_on: u32,
+    pub(super) north_on: [u32; 3],
+}
+
+/// 0, 1, 2 to 3, or more bits, as 0 to 3.
+#[inline(always)]
+fn few(word: u32) -> usize {
+    // One after the other is taken off: most words have none.
+    let mut left = word;
+    let mut number = 0;
+    for few in [1, 2, 2, 3] {
+        if left == 0 {
+            break;
+        }
+        left &= left - 1;
+        number = few;
+    }
+    number
+}
+
+/// The column to the west of each, and to the east.
+#[inline(always)]
+const fn sides([west, here, east]: [u32; 3]) -> (u32, u32) {
+    (here << 1 | west >> 31, here >> 1 | east << 31)
+}
+
+impl Around {
+    /// Goes on to the next segment: this one was made with `occupied` and `first_on`; `east` is what
+    /// comes into view, in the same places.
+    #[inline(always)]
+    pub(super) fn go_on(&mut self, (occupied, first_on): (u32, u32), east: &Self) {
+        let next = |of: [u32; 3], east: [u32; 3]| [of[1], of[2], east[2]];
+        *self = Self {
+            west: occupied,
+            west_on: first_on,
+            north: next(self.north, east.north),
+            north_on: next(self.north_on, east.north_on),
+            old: [self.old[1], east.old[1]],
+            south: next(self.south, east.south),
+            ..*east
+        };
+    }
+
+    #[inline(always)]
+    pub(super) fn segment_context(&self) -> usize {
+        let [_, north, north_east] = self.north;
+        few(self.west) << 6 | few(north) << 4 | few(self.old[0]) << 2 | few(north_east)
+    }
+
+    /// What the columns of the segment see.
+    #[inline(always)]
+    pub(super) fn columns(&self, has_previous: bool) -> Columns {
+        let (north_west, north_east) = sides(self.north);
+        let north_on = [0, 1, 2].map(|at| self.north_on[at] & self.north[at]);
+        let (north_west_on, north_east_on) = sides(north_on);
+        let north = self.north[1];
+        let mut columns = Columns {
+            west: self.west >> 30,
+            west_on: (self.west_on & self.west) >> 31,
+            north_west,
+            north,
+            north_east,
+            far_north: self.far_north,
+            north_west_on,
+            north_east_on,
+            north_on: north_on[1],
+            old: 0,
+            old_on: 0,
+            later: [0; 2],
+            seen: north_west | north | north_east | self.far_north,
+            crowd: few(self.west | north),
+            has_previous,
+        };
+        if has_previous {
+            let (south_west, south_east) = sides(self.south);
+            let (_, east) = sides([0, self.old[0], self.old[1]]);
+            let south = self.south[1];
+            // How many of the four: two bits of a sum, 3 for more.
+            let (a, b) = (east ^ south_west, south ^ south_east);
+            let (c, d) = (east & south_west, south & south_east);
+            columns.later = [(a ^ b) | (c & d), c | d | (a & b)];
+            columns.old = self.old[0];
+            columns.old_on = self.old_on & self.old[0];
+            columns.seen |= self.old[0] | columns.later[0] | columns.later[1];
+        }
+        columns
+    }
+}
+
+/// Words in which bit i is what column i sees.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Columns {
+    /// The two pixels to the west of the segment, and the polarity of the nearer.
+    west: u32,
+    west_on: u32,
+    north_west: u32,
+    north: u32,
+    north_east: u32,
+    far_north: u32,
+    north_west_on: u32,
+    north_east_on: u32,
+    north_on: u32,
+    old: u32,
+    old_on: u32,
+    later: [u32; 2],
+    /// Whether any neighbour but those to the west has events.
+    seen: u32,
+    crowd: usize,
+    has_previous: bool,
+}
+
+#[inline(always)]
+const fn bit(word: u32, column: u32) -> usize {
+    (word >> column) as usize & 1
+}
+
+impl Columns {
+    /// The two columns to the west of one, the nearer as bit 1, where the segment is `made` so far.
+    #[inline(always)]
+    fn west(&self, made: u32, column: u32) -> usize {
+        ((made << 2 | self.west) >> column) as usize & 3
+    }
+
+    /// How many columns from this one on have no neighbour with events, of those left of the segment.
+    #[inline(always)]
+    pub(super) fn quiet(&self, made: u32, column: u32, columns: u32) -> u32 {
+        if self.west(made, column) == 0 {
+            let seen = self.seen >> column;
+            seen.trailing_zeros().min(columns - column)
+        } else {
+            0
+        }
+    }
+
+    /// Context of whether a run of quiet columns, at least 1, has events.
+    #[inline(always)]
+    pub(super) fn run_context(&self, quiet: u32) -> usize {
+        (self.crowd << 3 | (31 - quiet.leading_zeros()) as usize) % RUN_CONTEXTS
+    }
+
+    #[inline(always)]
+    pub(super) fn pixel_context(&self, made: u32, column: u32) -> usize {
+        let mut context = self.west(made, column)
+            | bit(self.north_west, column) << 2
+            | bit(self.north, column) << 3
+            | bit(self.north_east, column) << 4
+            | bit(self.far_north, column) << 5;
+        if self.has_previous {
+            context |= bit(self.old, column) << 6
+                | bit(self.later[0], column) << 7
+                | bit(self.later[1], column) << 8;
+        }
+        context
+    }
+
+    #[inline(always)]
+    pub(super) const fn has_north(&self, column: u32) -> bool {
+        bit(self.north, column) == 1
+    }
+
+    /// Whether the column to the west has events.
+    #[inline(always)]
+    pub(super) fn has_west(&self, made: u32, column: u32) -> bool {
+        self.west(made, column) & 2 != 0
+    }
+
+    /// Context of a first polarity.
+    #[inline(always)]
+    pub(super) fn polarity_context(&self, made: u32, made_on: u32, column: u32) -> usize {
+        let west_on = bit(made_on << 1 | self.west_on, column);
+        let mut context = (self.west(made, column) >> 1) + west_on;
+        // None, OFF or ON.
+        for (has, on) in [
+            (self.north, self.north_on),
+            (self.north_west, self.north_west_on),
+            (self.north_east, self.north_east_on),
+        ] {
+            context = 3 * context + bit(has, column) + bit(on, column);
+        }
+        context *= 3;
+        if self.has_previous {
+            context += bit(self.old, column) + bit(self.old_on, column);
+        }
+        context
+    }
+}
