@@ -30,6 +30,10 @@ fn memory(out: &Path) -> Result<(), Box<dyn Error>> {
     let (Some((_, script)), None) = (chosen.next(), chosen.next()) else {
         return Err("choose one machine: build with firmware/build.sh MACHINE".into());
     };
+    let script = match env::var_os("CARGO_FEATURE_CUTS") {
+        Some(_) => &"memory/instructions.x",
+        None => script,
+    };
     fs::copy(script, out.join("memory.x"))?;
     println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rerun-if-changed={script}");

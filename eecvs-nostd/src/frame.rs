@@ -543,9 +543,8 @@ pub fn seal(
 
     let start = HEADER_BYTES_MAX.checked_sub(length).ok_or(NoRoom)?;
     let frame = frame.get_mut(start..).ok_or(NoRoom)?;
-    for (to, from) in frame.iter_mut().zip(&header_bytes).take(length) {
-        *to = *from;
-    }
+    let (to, from) = (frame.get_mut(..length), header_bytes.get(..length));
+    to.ok_or(NoRoom)?.copy_from_slice(from.ok_or(NoRoom)?);
     *frame_crc = crc_32(frame).to_le_bytes();
     Ok(start..crc_at + CRC_BYTES)
 }

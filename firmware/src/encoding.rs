@@ -4,8 +4,8 @@ use eecvs_nostd::event_link::{Kind, Packet, Setup, Status};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Work};
 use eecvs_nostd::{
-    Config, Filter, KEY_WINDOWS, Mode, Quantiser, Scratch, Sensor, Thresholds, Window, WindowBuffers,
-    WindowConfig, WindowEncoder,
+    Config, Filter, KEY_WINDOWS, Mode, Quantiser, Scratch, Sensor, Thresholds, Window,
+    WindowBuffers, WindowConfig, WindowEncoder,
 };
 
 use static_cell::ConstStaticCell;

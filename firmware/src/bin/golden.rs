@@ -16,8 +16,8 @@ use eecvs_nostd::coder::dense::DenseMemory;
 use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{
-    Coder, Config, Encoder, Event, Fidelity, Hybrid, Filter, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Polarity,
-    Push, Quantiser, Sensor, Stage, Storage, Thresholds, Trace, Transform, WindowConfig,
+    Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN,
+    Polarity, Push, Quantiser, Sensor, Stage, Storage, Thresholds, Trace, Transform, WindowConfig,
     bitmap_words, segments,
 };
 
@@ -46,10 +46,7 @@ type Small = Storage<400, SEGMENTS, { bitmap_words(SEGMENTS) }, 64>;
 #[cfg(not(feature = "microbit"))]
 type Dense = (Model, [u32; 128]);
 #[cfg(not(feature = "microbit"))]
-static DENSE: Mutex<RefCell<Dense>> = Mutex::new(RefCell::new((
-    Model::UNSET,
-    [0; 128],
-)));
+static DENSE: Mutex<RefCell<Dense>> = Mutex::new(RefCell::new((Model::UNSET, [0; 128])));
 
 static STORAGE: Mutex<RefCell<Small>> = Mutex::new(RefCell::new(Small::new()));
 

@@ -23,9 +23,9 @@ use eecvs_nostd::coder::dense::{self, DenseMemory};
 use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::evt2::Evt2Decoder;
 use eecvs_nostd::{
-    Coder, Config, Encoder, Fidelity, Hybrid, Filter, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser,
-    Sensor, SetupError, Stage, Storage, Thresholds, Trace, Transform, WindowConfig, bitmap_words,
-    segments,
+    Coder, Config, Encoder, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN,
+    Quantiser, Sensor, SetupError, Stage, Storage, Thresholds, Trace, Transform, WindowConfig,
+    bitmap_words, segments,
 };
 use stm32f4::stm32f405::{Peripherals, TIM2};
 
@@ -279,8 +279,7 @@ fn known_loop() -> u32 {
 fn main() -> ! {
     // SAFETY: `main` runs once, and nothing else uses these.
     #[allow(static_mut_refs)]
-    let (storage, out, model, words) =
-        unsafe { (&mut STORAGE, &mut OUT, &mut MODEL, &mut WORDS) };
+    let (storage, out, model, words) = unsafe { (&mut STORAGE, &mut OUT, &mut MODEL, &mut WORDS) };
     if let Some(peripherals) = Peripherals::take() {
         peripherals
             .RCC
