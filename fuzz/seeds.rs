@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use eecvs_nostd::{
-    Config, Encoder, Event, Filter, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Sensor, Thresholds,
-    Transform, WindowConfig,
+    Config, Encoder, Event, Filter, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Sensor,
+    Thresholds, Transform, WindowConfig,
 };
 use host_harness::encode::HostStorage;
 use host_harness::formats;

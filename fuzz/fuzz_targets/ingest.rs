@@ -9,8 +9,8 @@ use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
 use eecvs_nostd::{
-    Config, Filter, Frame, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser, Scratch, Sensor, Thresholds,
-    Window, WindowBuffers, WindowConfig, WindowEncoder,
+    Config, Filter, Frame, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser, Scratch, Sensor,
+    Thresholds, Window, WindowBuffers, WindowConfig, WindowEncoder,
 };
 use libfuzzer_sys::fuzz_target;
 
