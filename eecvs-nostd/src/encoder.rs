@@ -60,7 +60,7 @@ pub struct Config {
     pub readout: Option<Readout>,
     /// What is kept out of every window, beside [`Scratch::hot`].
     pub filter: Filter,
-    /// Bytes that the frames of any second take at the most, of a hybrid mode: see [`crate::rate`].
+    /// Bytes that the frames of any second take at the most, of a hybrid mode: see `rate.rs`.
     pub bytes_per_second: Option<NonZeroU32>,
 }
 

@@ -4,9 +4,9 @@
 //! its context ([`super::range`]):
 //!
 //! * which rows, segments of 32 columns and pixels have events, from the pixels around, those of the
-//!   window before among them; columns without neighbours go by in runs ([`super::neighbourhood`]);
+//!   window before among them; columns without neighbours go by in runs (`neighbourhood`);
 //! * the polarity of a pixel's first event, and its events' times and further polarities
-//!   ([`super::dense_times`]).
+//!   (`dense_times`).
 //!
 //! One function codes both ways. Time per event is bounded; memory is what was lent.
 

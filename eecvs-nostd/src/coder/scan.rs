@@ -272,7 +272,7 @@ impl Scans {
         (scan << FINE_BITS) | (distance + i64::from(FINE_ZERO)) as u32
     }
 
-    /// The time that [`Self::of`] tells; for what it never does, one within the window.
+    /// The time that is told so; for what it never does, one within the window.
     #[must_use]
     pub const fn offset_us(self, at: (u16, u16), told: u32) -> u32 {
         let distance = (told % (1 << FINE_BITS)) as i64 - FINE_ZERO as i64;

@@ -1,6 +1,6 @@
 //! Learned frequencies of a few symbols, so that one step of the range coder codes one of many.
 //!
-//! They stay as they are for a block of symbols, at most [`BLOCK`], and then move towards what the
+//! They stay as they are for a block of symbols, at most `BLOCK`, and then move towards what the
 //! block had: a symbol costs one count, and a block one pass over the table.
 
 use super::range::SCALE;

@@ -56,7 +56,7 @@ pub fn write(sensor: Sensor, events: &[Event]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The sensor and the events of [`write`].
+/// The sensor and the events of [`write()`].
 ///
 /// # Errors
 /// Bytes that it does not write.

@@ -32,7 +32,7 @@ pub struct Decoded {
 /// In mode `hybrid`.
 ///
 /// # Errors
-/// As [`round_trip`].
+/// A frame that does not decode, or an event that is not in any.
 pub fn hybrid(source: &Source, hybrid: Hybrid) -> Result<Decoded> {
     round_trip(source, Mode::Hybrid(hybrid), None, 16)
 }
@@ -40,7 +40,7 @@ pub fn hybrid(source: &Source, hybrid: Hybrid) -> Result<Decoded> {
 /// In mode `transform`, with the default grid and quantiser.
 ///
 /// # Errors
-/// As [`round_trip`].
+/// A frame that does not decode, or an event that is not in any.
 pub fn transform(source: &Source, transform: Transform, m: u8) -> Result<Decoded> {
     round_trip(source, Mode::Transform, Some(transform), m)
 }
