@@ -92,7 +92,7 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
         let (decoder, bins) = match &mut decoder {
             Some(decoder) if decoder.0.fits(&window) => decoder,
             _ => decoder.insert((
-                EventDecoder::new(header.transform, header.grid, header.m, Finder::Exact),
+                EventDecoder::new(header.transform, header.grid, header.m, Finder::Peaks),
                 Bins::new(header.transform, header.grid, BINS),
             )),
         };
