@@ -25,8 +25,9 @@ run() {
     printf '%-32s %s\n' "$name" "$(tr -d ' \n' <<<"$json")"
 }
 
-# Every input in every mode, two at a time: the events, then the regime's transform, then each at both M.
-modes=("fast" "auto" "dct 8" "dct 16" "dtft 8" "dtft 16" "dwt 8" "dwt 16")
+# Every input in every mode, two at a time: the events, the same filtered and under a budget that does not take
+# them all, then the regime's transform, then each at both M.
+modes=("fast" "budget" "auto" "dct 8" "dct 16" "dtft 8" "dtft 16" "dwt 8" "dwt 16")
 inputs=("")
 for recording in "${recordings[@]}"; do
     if [ -e "$recording" ]; then
@@ -40,7 +41,10 @@ for input in "${inputs[@]}"; do
     for mode in "${modes[@]}"; do
         read -r transform m <<<"$mode"
         arguments=(--mode transform --transform "$transform" ${m:+-m "$m"})
-        [ "$transform" != fast ] || arguments=(--mode hybrid --coder fast)
+        case $transform in
+            fast) arguments=(--mode hybrid --coder fast) ;;
+            budget) arguments=(--mode hybrid --isolated --bytes-per-second 60000) ;;
+        esac
         name="${input:+$(basename "$(dirname "$input")") }${input:-scene }$mode"
         [ -z "$input" ] || { arguments+=("$input" "${limit[@]}"); name="$(basename "$(dirname "$input")") $mode"; }
         run "$name" "${arguments[@]}" &

@@ -82,6 +82,7 @@ impl Account {
         outcome.events_encoded += u64::from(header.events);
         outcome.events_late += u64::from(header.late);
         outcome.events_filtered += u64::from(header.filtered);
+        outcome.events_thinned += u64::from(header.thinned);
         outcome.events_lost += u64::from(header.dropped);
         let first = outcome.frames == 1;
         let in_order = self.sequence.follow(header.sequence) == Order::InOrder;
@@ -126,6 +127,7 @@ impl Account {
         let accounted = outcome.events_encoded
             + outcome.events_late
             + outcome.events_filtered
+            + outcome.events_thinned
             + outcome.events_lost;
         let problems = &mut outcome.problems;
         if let Some(first) = &self.first_different {

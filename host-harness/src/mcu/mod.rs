@@ -75,6 +75,8 @@ pub struct Outcome {
     pub events_late: u64,
     /// Events that frames count as kept out by a filter.
     pub events_filtered: u64,
+    /// Left out by the rate control.
+    pub events_thinned: u64,
     /// Events that frames count as lost.
     pub events_lost: u64,
     /// The encoder's own account since its setup.
