@@ -4,10 +4,11 @@ use std::ops::ControlFlow;
 
 use anyhow::{Result, bail};
 use eecvs_nostd::event_link::{Kind, Status};
-use eecvs_nostd::{Frame, Header, Order, Sequence};
+use eecvs_nostd::{Frame, Header, Mode, Order, Sequence};
 
 use super::link::{Demultiplexer, Message};
 use super::{Outcome, status_of};
+use crate::reconstruct::hybrid::HybridDecoder;
 
 /// The account of a run.
 pub struct Account {
@@ -23,6 +24,7 @@ pub struct Account {
     outcome: Outcome,
     out_of_order: u64,
     malformed: u64,
+    hybrid: HybridDecoder,
     first_different: Option<String>,
 }
 
@@ -37,6 +39,7 @@ impl Account {
             outcome: Outcome::default(),
             out_of_order: 0,
             malformed: 0,
+            hybrid: HybridDecoder::default(),
             first_different: None,
         }
     }
@@ -90,8 +93,10 @@ impl Account {
             self.out_of_order += 1;
         }
         let Some(expected) = &self.expected else {
-            let whole = Frame::parse(bytes)
-                .is_ok_and(|frame| frame.descriptors().all(|pixel| pixel.is_ok()));
+            let whole = Frame::parse(bytes).is_ok_and(|frame| match frame.header.mode {
+                Mode::Transform => frame.descriptors().all(|pixel| pixel.is_ok()),
+                Mode::Hybrid(hybrid) => self.hybrid.frame(&frame, hybrid).is_ok(),
+            });
             self.malformed += u64::from(!whole);
             return;
         };
