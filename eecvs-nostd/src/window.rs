@@ -628,24 +628,19 @@ impl<'b> Window<'b> {
 
     /// Position and time of up to `most` events, of every segment the newest ones, before they are taken.
     pub(crate) fn sample(&self, most: u32, mut each: impl FnMut((u16, u16), u32)) {
-        let mut left = most;
-        for (i, word) in self.bitmap.iter().enumerate() {
-            let mut word = *word;
-            while word != 0 && left > 0 {
-                let segment = 32 * i as u32 + word.leading_zeros();
-                word ^= FIRST >> word.leading_zeros();
-                let (x, y) = self.segment_origin(segment);
-                let head = self.heads.get(segment as usize).copied();
-                let mut at = head.map_or(NO_SLOT, index);
-                for _ in 0..SAMPLES_OF_SEGMENT.min(left) {
-                    let Some(slot) = self.slots.get(at as usize) else {
-                        break;
-                    };
-                    each((x + slot.column() as u16, y), slot.offset_us());
-                    at = slot.next();
-                    left -= 1;
-                }
+        let (mut left, mut from) = (most, 0);
+        while let Some(segment) = self.next_used(from).filter(|_| left > 0) {
+            let (x, y) = self.segment_origin(segment);
+            let mut at = self.head_of(segment);
+            for _ in 0..SAMPLES_OF_SEGMENT.min(left) {
+                let Some(slot) = self.slots.get(at as usize) else {
+                    break;
+                };
+                each((x + slot.column() as u16, y), slot.offset_us());
+                at = slot.next();
+                left -= 1;
             }
+            from = segment + 1;
         }
     }
 
