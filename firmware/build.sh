@@ -33,6 +33,8 @@ elif [ "$machine" = microbit ]; then
     command+=(--bin golden)
 fi
 export RUSTFLAGS="${flags[*]}" DEFMT_LOG="${DEFMT_LOG:-info}"
+# What the machines' builds have in common, such as derive macros, is built once.
+export CARGO_BUILD_BUILD_DIR=$PWD/target/build
 
 if ! [ -d "$(rustc --print target-libdir --target "$target")" ]; then
     if command -v rustup >/dev/null && rustup target add "$target" >&2; then

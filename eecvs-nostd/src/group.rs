@@ -113,7 +113,7 @@ impl Group {
             x: self.segment_x + column as u16,
             y: self.segment_y,
             on,
-            off: (tally >> Head::BITS) as u32 - on,
+            off: index((tally >> Head::BITS) as Head) - on,
             head,
         })
     }
