@@ -81,7 +81,10 @@ impl Basis for Dtft {
 
     /// All coefficients of a single event have the magnitude 1 and tie: k = 0..r are kept.
     fn cells_log2(shape: Shape) -> u32 {
-        cells_log2_of(2 * shape.r.saturating_sub(1), shape.quantiser)
+        // Within a quarter of a step: by the levels of two events their times come back closer than a
+        // cell of half a step is wide, and a single event is not to be worse.
+        let half_turns = 2 * shape.r.saturating_sub(1);
+        cells_log2_of(2 * half_turns, shape.quantiser).min(CELLS_LOG2_MAX)
     }
 
     #[inline(always)]
@@ -96,6 +99,9 @@ impl Basis for Dtft {
         }
     }
 }
+
+/// What a reader takes for a cell at the most.
+const CELLS_LOG2_MAX: u32 = 24;
 
 /// x^2 / 2^32
 #[inline(always)]

@@ -152,7 +152,7 @@ pub trait Basis {
     fn quantise<C: Coefficient>(sums: &[C], shape: Shape, kept: &Kept, levels: &mut Levels<'_>);
 
     /// b, 0 to 24: one of 2^b cells of the window tells a single event's coefficients, each within
-    /// half a step.
+    /// half a step, in the DTFT within a quarter.
     fn cells_log2(shape: Shape) -> u32;
 
     /// The cell of an offset below T.

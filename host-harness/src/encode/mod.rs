@@ -18,6 +18,7 @@ use crate::formats::EventReader;
 pub use codec::Codec;
 use cutter::{Cutter, Direct};
 pub use storage::HostStorage;
+use storage::touch;
 
 /// Events that the host's window buffer holds.
 pub const WINDOW_EVENTS: usize = 1 << 20;
@@ -192,6 +193,7 @@ fn encode_here(
     let window = windows.first_mut().context("the memory has no window")?;
     let mut cutter = Cutter::new(Direct(reader));
     let mut frame = vec![0; limits.frame_bytes];
+    touch(&mut frame);
     let mut summary = EncodeSummary::default();
     let mut encoding = Duration::ZERO;
     while cutter.cut(window, &mut encoding)? {

@@ -46,6 +46,7 @@ impl WindowMemory {
     fn window(&mut self, config: WindowConfig) -> Option<Window<'_>> {
         self.heads.fill(0);
         self.bitmap.fill(0);
+        touch(self.slots.as_mut_bytes());
         let buffers = WindowBuffers {
             slots: <[Slot]>::mut_from_bytes(self.slots.as_mut_bytes()).ok()?,
             heads: &mut self.heads,
@@ -53,6 +54,16 @@ impl WindowMemory {
         };
         Window::new(config, buffers)
     }
+}
+
+/// Bytes of a window's slots and of a frame that are taken before the first event.
+const TOUCHED_BYTES: usize = 1 << 17;
+
+/// Takes the pages of what nearly every window fills, which else happens while the first is encoded.
+pub(super) fn touch(bytes: &mut [u8]) {
+    let touched = bytes.len().min(TOUCHED_BYTES);
+    // A compiler that knows that they are zero may leave it out.
+    std::hint::black_box(&mut bytes[..touched]).fill(0);
 }
 
 impl HostStorage {

@@ -16,7 +16,7 @@
 //! ```
 //!
 //! found by Newton's method; eps leaves room for what was quantised. The i-th ON event is where the sum
-//! of a reaches i + 1/2. The work does not depend on the number of events, but for placing them.
+//! of a reaches i + 1/2, or another place between i and i + 1. The work does not depend on the number of events, but for placing them.
 //!
 //! Jaynes, Physical Review 106 (1957); Mead, Papanicolaou, J. Math. Phys. 25 (1984).
 
@@ -45,16 +45,38 @@ fn normalised(exponents: &[f64], sign: f64, density: &mut Vec<f64>) -> f64 {
     most + sum.ln()
 }
 
-/// Times of all events, the ON ones first; the equations need no signs.
-#[must_use]
-pub fn times(equations: &Equations) -> Vec<f64> {
-    let (on, off) = (equations.on as usize, equations.off as usize);
+/// The flattest densities of a pixel's ON and OFF events that explain its coefficients.
+#[derive(Debug)]
+pub struct Densities {
+    /// Of the ON events, of the OFF ones, and how many there are.
+    of: [(Vec<f64>, usize); 2],
+}
+
+impl Densities {
+    /// Of equations, which need no signs.
+    #[must_use]
+    pub fn flattest(equations: &Equations) -> Self {
+        let [on, off] = densities(equations);
+        Self {
+            of: [(on, equations.on as usize), (off, equations.off as usize)],
+        }
+    }
+
+    /// Times of all events, the ON ones first: the i-th of n is where (i + place) / n of its density are
+    /// before it, `place` from 0 to 1.
+    #[must_use]
+    pub fn times(&self, place: f64) -> Vec<f64> {
+        let all = self.of.iter();
+        all.flat_map(|(density, n)| quantiles(density, *n, place))
+            .collect()
+    }
+}
+
+fn densities(equations: &Equations) -> [Vec<f64>; 2] {
     let counts = [f64::from(equations.on), f64::from(equations.off)];
     let rows = equations.rows().min(ROWS_MAX);
     if rows == 0 {
-        let mut times = quantiles(&[1.0], on);
-        times.extend(quantiles(&[1.0], off));
-        return times;
+        return [vec![1.0], vec![1.0]];
     }
     let highest = usize::from(
         equations
@@ -129,19 +151,16 @@ pub fn times(equations: &Equations) -> Vec<f64> {
         }
     }
     value_at(&lambda, &mut densities);
-    let [a, b] = &densities;
-    let mut times = quantiles(a, on);
-    times.extend(quantiles(b, off));
-    times
+    densities
 }
 
-/// Where the cumulative density reaches (i + 1/2) / n, i = 0..n.
-fn quantiles(density: &[f64], n: usize) -> Vec<f64> {
+/// Where the cumulative density reaches (i + place) / n, i = 0..n.
+fn quantiles(density: &[f64], n: usize, place: f64) -> Vec<f64> {
     let mut times = Vec::with_capacity(n);
     let (mut point, mut below) = (0, 0.0);
     let last = density.len() - 1;
     for i in 0..n {
-        let wanted = (i as f64 + 0.5) / n as f64;
+        let wanted = (i as f64 + place) / n as f64;
         while point < last && below + density[point] < wanted {
             below += density[point];
             point += 1;

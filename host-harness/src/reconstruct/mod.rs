@@ -2,6 +2,7 @@
 
 pub mod bins;
 pub mod crowd;
+pub mod ensemble;
 pub mod equations;
 pub mod events;
 pub mod hybrid;
