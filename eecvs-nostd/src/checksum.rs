@@ -91,22 +91,32 @@ fn folded(bytes: &[u8], fold: impl FnOnce(u32, &[Block]) -> [u32; BLOCK]) -> u32
 #[cfg(any(test, not(target_pointer_width = "64")))]
 #[inline(always)]
 fn later(taken: &[u32; BLOCK], i: usize) -> u32 {
-    LATER.iter().fold(0, |change, (words, bits)| {
-        let whole = taken[(i + BLOCK - words) % BLOCK] << bits;
-        change ^ whole ^ (taken[(i + BLOCK - words - 1) % BLOCK] >> (32 - bits))
-    })
+    let [a, b, c, d] = LATER;
+    let whole = |(words, bits): (usize, u32)| taken[(i + BLOCK - words) % BLOCK] << bits;
+    let beyond =
+        |(words, bits): (usize, u32)| taken[(i + BLOCK - words - 1) % BLOCK] >> (32 - bits);
+    // In this order, in which a compiler sees no rotations.
+    (whole(a) ^ whole(b) ^ whole(c) ^ whole(d)) ^ (beyond(a) ^ beyond(b) ^ beyond(c) ^ beyond(d))
 }
 
 /// Takes `blocks` away, of which the checksum before them is `crc`; returns what the words of the
 /// last one were when they were taken away.
 #[cfg(any(test, all(not(target_pointer_width = "64"), not(eecvs_dsp))))]
+#[inline(never)]
 fn fold(crc: u32, blocks: &[Block]) -> [u32; BLOCK] {
     let mut taken = [0; BLOCK];
     let mut first = crc;
     for block in blocks {
-        for (i, bytes) in block.iter().enumerate() {
-            taken[i] = u32::from_le_bytes(*bytes) ^ mem::take(&mut first) ^ later(&taken, i);
+        // One by one, so that each is in a register of its own.
+        macro_rules! take {
+            ($($i:literal)*) => {$(
+                taken[$i] = u32::from_le_bytes(block[$i]) ^ later(&taken, $i);
+                if $i == 0 {
+                    taken[$i] ^= mem::take(&mut first);
+                }
+            )*};
         }
+        take!(0 1 2 3 4 5 6 7 8 9 10 11);
     }
     taken
 }

@@ -27,6 +27,8 @@ pub mod event_link;
 pub mod evt2;
 #[cfg(eecvs_dsp)]
 mod fast_dsp;
+#[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
+mod fast_walk;
 #[cfg(eecvs_dsp)]
 mod few_dsp;
 pub mod filter;
