@@ -33,7 +33,7 @@ struct Walk<'w, 'b> {
     /// From the place after the last pixel's to that.
     since: u32,
     /// The longest gap whose pixel has a code of 32 bits with its first event.
-    gap_max: i32,
+    gap_max: u32,
     /// Of 32 segments, those still to be visited.
     segments: u32,
     /// The first of them.
@@ -86,16 +86,6 @@ const NEXT_AT: usize = 6;
 /// 31 in each of four bytes.
 const ORDERS: u32 = 0x1f1f_1f1f;
 
-/// The longest gap whose pixel has its first event in a code of 32 bits with it.
-const fn gap_max(gaps: &Gaps) -> i32 {
-    // Leading zeros that it has to have; a second event's polarity is a bit more.
-    let zeros = match gaps.bits.saturating_sub(30) >> 1 {
-        zeros @ 0..=31 => zeros,
-        _ => 31,
-    };
-    (FIRST >> zeros).wrapping_sub(gaps.base / 2 + 1) as i32
-}
-
 /// Encodes pixels up to the window's last, or up to one that [`Fast::write`] has to see to, which is
 /// the group's next then. Returns their events.
 ///
@@ -107,7 +97,7 @@ pub fn walk(
 ) -> u32 {
     // Up to 31: else there is no gap whose code is short enough.
     let event_bits = (coder.cell_bits() + 1) & 31;
-    let gap_max = gap_max(&coder.gaps);
+    let gap_max = coder.gaps.gap_max();
     if gap_max < SEGMENT || !writer.has_words(ROOM_WORDS) {
         return 0;
     }
@@ -191,7 +181,7 @@ pub fn walk(
 }
 
 /// Columns of a segment.
-const SEGMENT: i32 = 1 << COLUMN_BITS;
+const SEGMENT: u32 = 1 << COLUMN_BITS;
 
 // What the assembly takes for granted.
 const _: () = assert!(SLOTS_MAX < EMPTY as usize && NO_SLOT >= EMPTY);
@@ -576,26 +566,20 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "str r11, [r7, #-8]",
         room!("r0", "12f"),
         next!(),
+        // Whether there is room for another is asked once: two words more are there anyway.
         "61:",
         word!("r0", "r3"),
-        room!("r3", "64f"),
-        "b 62b",
-        // The last pixel that there is room for.
-        "64:",
         "lsls r2, r2, #2",
         "adds r2, #{end}",
         "sub r10, r10, r1",
         "subs r10, r10, #34",
-        "bgt 65f",
-        word!("r2", "r1"),
-        "b 66f",
-        "65:",
+        "ble 63b",
         "lsl r1, r2, r10",
         "orr r9, r9, r1",
-        "66:",
         "add r11, r11, #1",
         "str r11, [r7, #-8]",
-        "b 12f",
+        room!("r0", "12f"),
+        next!(),
         // Three events and more. r4: cell of the last one; r7: its link.
         "60:",
         "adc r3, r3, r3",

@@ -143,7 +143,13 @@ pub fn walk(
                     if slots.get(second.next() as usize).is_some() {
                         let pair = (slot, second);
                         let mut copy = out;
-                        let further = several(pair, (code, bits), slots, &mut coder.orders, (words, &mut copy));
+                        let further = several(
+                            pair,
+                            (code, bits),
+                            slots,
+                            &mut coder.orders,
+                            (words, &mut copy),
+                        );
                         if further == 0 {
                             break 'pixel;
                         }
@@ -151,7 +157,8 @@ pub fn walk(
                         events += further;
                     } else {
                         let polarities = u32::from(slot.is_on()) << 1 | u32::from(second.is_on());
-                        let Some(distance) = second.offset_us().checked_sub(slot.offset_us()) else {
+                        let Some(distance) = second.offset_us().checked_sub(slot.offset_us())
+                        else {
                             break 'pixel;
                         };
                         let order = &mut coder.orders[polarities as usize];

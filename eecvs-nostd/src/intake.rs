@@ -140,8 +140,7 @@ mod portable {
             if next >= self.len {
                 mark(self.bitmap, segment);
             }
-            let x =
-                (word >> (X_SHIFT - COLUMN_SHIFT)) & (((1 << COLUMN_BITS) - 1) << COLUMN_SHIFT);
+            let x = (word >> (X_SHIFT - COLUMN_SHIFT)) & (((1 << COLUMN_BITS) - 1) << COLUMN_SHIFT);
             *slot = Slot::new(
                 self.span_us.wrapping_add(low_us(word)),
                 next,

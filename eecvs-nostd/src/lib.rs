@@ -17,6 +17,8 @@ extern crate std;
 pub mod atom;
 pub mod bits;
 mod checksum;
+#[cfg(any(test, eecvs_dsp))]
+mod checksum_fold;
 pub mod coder;
 pub mod density;
 pub mod descriptor;
