@@ -6,10 +6,10 @@ use crate::coder::content::{Content, Node};
 use crate::coder::dense::Dense;
 use crate::coder::fast::{Fast, ROOM_WORDS, Unordered};
 use crate::coder::range::RangeEncoder;
-#[cfg(eecvs_dsp)]
-use crate::fast_dsp as fast_walk;
 #[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
 use crate::fast_walk;
+#[cfg(eecvs_dsp)]
+use crate::fast_walk_dsp as fast_walk;
 use crate::frame::Header;
 use crate::group::{Group, Impulses, Pixel};
 use crate::sort::ascending;

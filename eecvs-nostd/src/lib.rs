@@ -19,6 +19,8 @@ pub mod bits;
 mod checksum;
 #[cfg(any(test, eecvs_dsp))]
 mod checksum_fold;
+#[cfg(eecvs_dsp)]
+mod code_tables_dsp;
 pub mod coder;
 pub mod density;
 pub mod descriptor;
@@ -27,12 +29,10 @@ pub mod event;
 mod event_encoder;
 pub mod event_link;
 pub mod evt2;
-#[cfg(eecvs_dsp)]
-mod fast_dsp;
 #[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
 mod fast_walk;
 #[cfg(eecvs_dsp)]
-mod few_dsp;
+mod fast_walk_dsp;
 pub mod filter;
 pub mod fixed_point;
 pub mod frame;
@@ -54,11 +54,15 @@ mod prune_dsp;
 pub mod quantise;
 mod rate;
 pub mod regime;
+#[cfg(eecvs_dsp)]
+mod segments_dsp;
 pub mod sensor_source;
 mod sort;
 pub mod storage;
 pub mod trace;
 pub mod transform;
+#[cfg(eecvs_dsp)]
+mod transform_walk_dsp;
 pub mod unpack;
 #[cfg(target_arch = "x86_64")]
 mod waves_avx2;

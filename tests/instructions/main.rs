@@ -62,7 +62,9 @@ fn main() -> anyhow::Result<ExitCode> {
         ["readme", saved, path] => {
             readme::write(&Counts::read(Path::new(saved))?, Path::new(path))?;
         }
-        _ => bail!("usage: instructions cuts|table|portable|save|check ...; see the head of its source"),
+        _ => bail!(
+            "usage: instructions cuts|table|portable|save|check ...; see the head of its source"
+        ),
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -14,6 +14,7 @@ use core::mem::offset_of;
 use crate::coder::big_bits::BigWriter;
 use crate::coder::fast::{END, FLIP, Fast, Gaps, ROOM_WORDS, TERM_PIXELS, TERM_SHIFT};
 use crate::group::{Entry, Group};
+use crate::segments_dsp::{Source, next_segments};
 use crate::window::{
     COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window,
 };
@@ -70,8 +71,7 @@ struct Walk<'w, 'b> {
     out: *mut [u8; 4],
     /// Place after the last pixel's, at the end.
     next: u32,
-    group: *mut Group,
-    window: *mut Window<'w>,
+    source: Source<'w>,
     /// Ties the pointers to what they point to.
     borrowed: PhantomData<&'b mut ()>,
 }
@@ -141,8 +141,7 @@ pub fn walk(
         counts: (term << PIXEL_SHIFT) | EMPTY,
         out: words.wrapping_add(writer.state.words),
         next: 0,
-        group,
-        window,
+        source: Source { group, window },
         borrowed: PhantomData,
     };
     // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns`
@@ -153,7 +152,7 @@ pub fn walk(
     // have the instructions.
     unsafe { walk_columns(&mut walk) };
     // SAFETY: the references that they were made of are not used before this.
-    let group = unsafe { &mut *walk.group };
+    let group = unsafe { &mut *walk.source.group };
     group.segments = walk.segments;
     group.first_segment = walk.first_segment;
     group.columns = walk.columns.reverse_bits();
@@ -192,19 +191,6 @@ const _: () =
 const _: () = assert!(offset_of!(Walk<'_, '_>, heads) == 64);
 const _: () = assert!(offset_of!(Walk<'_, '_>, columns) == 72);
 const _: () = assert!(offset_of!(Walk<'_, '_>, out) == 96);
-
-/// Goes to the next 32 segments of which some have events; returns those, 0 where there are none.
-unsafe extern "C" fn next_segments(walk: &mut Walk<'_, '_>, first: &mut u32) -> u32 {
-    // SAFETY: see `walk`; nothing else has a reference while this runs.
-    let (group, window) = unsafe { (&mut *walk.group, &mut *walk.window) };
-    match window.take_segments(&mut group.cursor) {
-        Some((first_segment, segments)) => {
-            *first = first_segment;
-            segments
-        }
-        None => 0,
-    }
-}
 
 /// Puts a code of which r10 has taken the bits already, and which completes a word; overwrites the
 /// second register.
@@ -706,6 +692,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "14:",
         "str r12, [sp, #4]",
         "ldr r0, [sp, #104]",
+        "adds r0, #{source}",
         "add r1, sp, #64",
         "bl {next_segments}",
         "ldr r12, [sp, #4]",
@@ -757,6 +744,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "add sp, #108",
         "pop {{r4-r11, pc}}",
         next_segments = sym next_segments,
+        source = const offset_of!(Walk<'_, '_>, source),
         first = const FIRST,
         pixel = const 1 << PIXEL_SHIFT,
         end = const END,
