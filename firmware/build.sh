@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Builds the images of a machine: firmware/build.sh [MACHINE [BINARY]]
+# Builds the images of a machine: firmware/build.sh [MACHINE [BINARY [portable]]]
 #
 #   netduinoplus2   STM32F405, Cortex-M4F: boards, and QEMU's machine of that name (the default)
 #   mps2-an386      Cortex-M4 in QEMU
@@ -8,7 +8,8 @@
 #
 # The images are firmware/target/MACHINE/TARGET/release/{encoder,golden}; the last line printed is
 # their folder. BINARY `instructions` needs its cuts: instructions.sh makes them and calls this.
-# BINARY `kernels` is for kernels.sh, on netduinoplus2 and mps2-an500.
+# BINARY `kernels` is for kernels.sh, on netduinoplus2 and mps2-an500. With `portable` the core's
+# assembly is left out.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -19,13 +20,14 @@ case $machine in
     mps2-an386) target=thumbv7em-none-eabihf feature=mps2 ;;
     mps2-an500) target=thumbv7em-none-eabihf feature=mps2 flags=(-C target-cpu=cortex-m7) ;;
     microbit) target=thumbv6m-none-eabi feature=microbit ;;
-    *) sed -n '2,11s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+    *) sed -n '2,12s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
 esac
 
 case ${2:-} in
     instructions) feature+=,cuts ;;
     kernels) feature+=,kernels ;;
 esac
+[ "${3:-}" != portable ] || feature+=,portable
 command=(cargo build --release --locked --features "$feature" --target "$target" --target-dir "target/$machine")
 if [ -n "${2:-}" ]; then
     command+=(--bin "$2")

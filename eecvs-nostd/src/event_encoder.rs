@@ -6,8 +6,10 @@ use crate::coder::content::{Content, Node};
 use crate::coder::dense::Dense;
 use crate::coder::fast::{Fast, ROOM_WORDS, Unordered};
 use crate::coder::range::RangeEncoder;
+#[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
+use crate::fast_walk;
 #[cfg(eecvs_dsp)]
-use crate::fast_dsp;
+use crate::fast_walk_dsp as fast_walk;
 use crate::frame::Header;
 use crate::group::{Group, Impulses, Pixel};
 use crate::sort::ascending;
@@ -105,8 +107,8 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
     }
 
     /// Codes with [`Fast`] into `out`.
-    // Without assembly there is nothing before the pixel.
-    #[cfg_attr(not(eecvs_dsp), allow(clippy::while_let_loop))]
+    // On a host there is nothing before the pixel.
+    #[cfg_attr(target_pointer_width = "64", allow(clippy::while_let_loop))]
     #[inline(never)]
     pub(crate) fn fast<T: Trace>(
         &mut self,
@@ -123,12 +125,12 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             overran: false,
         };
         loop {
-            #[cfg(eecvs_dsp)]
+            #[cfg(not(target_pointer_width = "64"))]
             if !T::LISTENS && self.times.are_plain() {
                 // All but the pixels that it leaves to what follows.
                 *self.is_rest = false;
                 let all = (&mut *self.group, &mut *self.window);
-                taken.events += fast_dsp::walk(all, &mut coder, &mut writer);
+                taken.events += fast_walk::walk(all, &mut coder, &mut writer);
             }
             let Some(mut pixel) = self.next_uncounted() else {
                 break;

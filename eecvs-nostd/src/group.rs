@@ -197,7 +197,7 @@ impl Group {
 
     /// The next segment that has events, and its list.
     #[inline(always)]
-    fn take_segment(&mut self, window: &mut Window<'_>) -> Option<(u32, u32)> {
+    pub(crate) fn take_segment(&mut self, window: &mut Window<'_>) -> Option<(u32, u32)> {
         if self.segments == 0 {
             (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;
         }

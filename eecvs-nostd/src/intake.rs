@@ -86,39 +86,77 @@ mod portable {
         #[inline(always)]
         fn take_events(&mut self, words: &[[u8; 4]]) -> usize {
             let before = self.len;
-            let width = u32::from(self.width) << X_SHIFT;
             let free = self.slots.get_mut(self.len as usize..).unwrap_or_default();
-            for (word, slot) in words.iter().zip(free) {
-                let word = u32::from_le_bytes(*word);
-                // x is compared where it is in the word, together with the bits that an event has not.
-                let x = word & (NO_EVENT | (SIDE_MASK << X_SHIFT) | SIDE_MASK);
-                if x >= width {
-                    break;
-                }
-                // An x on the sensor makes the segment's index tell whether y is.
-                let segment =
-                    (word & SIDE_MASK) * self.stride.get() + (x >> (X_SHIFT + COLUMN_BITS));
-                let Some(head) = self.heads.get_mut(segment as usize) else {
-                    break;
-                };
-                let next = index(*head);
-                // The head of an empty list is more than any slot.
-                if next >= self.len
-                    && let Some(bits) = self.bitmap.get_mut(segment as usize / 32)
-                {
-                    *bits |= FIRST.rotate_right(segment);
-                }
-                let x =
-                    (word >> (X_SHIFT - COLUMN_SHIFT)) & (((1 << COLUMN_BITS) - 1) << COLUMN_SHIFT);
-                *slot = Slot::new(
-                    self.span_us.wrapping_add(low_us(word)),
-                    next,
-                    x | (word >> KIND_SHIFT),
-                );
-                *head = self.len as Head;
-                self.len += 1;
-            }
+            let segments = Segments {
+                heads: self.heads,
+                bitmap: self.bitmap,
+                width: u32::from(self.width) << X_SHIFT,
+                stride: self.stride.get(),
+                span_us: self.span_us,
+                len: self.len,
+            };
+            self.len = segments.take(words, free);
             (self.len - before) as usize
+        }
+    }
+
+    /// What an event needs.
+    struct Segments<'w> {
+        heads: &'w mut [Head],
+        bitmap: &'w mut [u32],
+        /// Where x is in a word.
+        width: u32,
+        stride: u32,
+        span_us: u32,
+        len: u32,
+    }
+
+    impl Segments<'_> {
+        /// Apart, so that all of it is in registers.
+        #[cfg_attr(target_pointer_width = "64", inline(always))]
+        #[cfg_attr(not(target_pointer_width = "64"), inline(never))]
+        fn take(mut self, words: &[[u8; 4]], slots: &mut [Slot]) -> u32 {
+            for (word, slot) in words.iter().zip(slots) {
+                if !self.event(u32::from_le_bytes(*word), slot) {
+                    break;
+                }
+            }
+            self.len
+        }
+
+        /// Stores an event on the sensor; `false` for any other word.
+        #[inline(always)]
+        fn event(&mut self, word: u32, slot: &mut Slot) -> bool {
+            // x is compared where it is in the word, together with the bits that an event has not.
+            let x = word & (NO_EVENT | (SIDE_MASK << X_SHIFT) | SIDE_MASK);
+            // An x on the sensor makes the segment's index tell whether y is.
+            let segment = (word & SIDE_MASK) * self.stride + (x >> (X_SHIFT + COLUMN_BITS));
+            let is_outside = (x >= self.width) | (segment as usize >= self.heads.len());
+            let (false, Some(head)) = (is_outside, self.heads.get_mut(segment as usize)) else {
+                return false;
+            };
+            let next = index(*head);
+            // The head of an empty list is more than any slot.
+            if next >= self.len {
+                mark(self.bitmap, segment);
+            }
+            let x = (word >> (X_SHIFT - COLUMN_SHIFT)) & (((1 << COLUMN_BITS) - 1) << COLUMN_SHIFT);
+            *slot = Slot::new(
+                self.span_us.wrapping_add(low_us(word)),
+                next,
+                x | (word >> KIND_SHIFT),
+            );
+            *head = self.len as Head;
+            self.len += 1;
+            true
+        }
+    }
+
+    /// A segment has its first event.
+    #[inline(always)]
+    fn mark(bitmap: &mut [u32], segment: u32) {
+        if let Some(bits) = bitmap.get_mut(segment as usize / 32) {
+            *bits |= FIRST.rotate_right(segment);
         }
     }
 }
@@ -240,12 +278,11 @@ mod arm {
             bpl 4f
             ldr r12, [sp, #4]
             lsr r11, r10, #5
-            add r12, r12, r11, lsl #2
-            mov r11, #{first}
-            ror r11, r11, r10
-            ldr r10, [r12]
-            orr r10, r10, r11
-            str r10, [r12]
+            mov lr, #{first}
+            ror lr, lr, r10
+            ldr r10, [r12, r11, lsl #2]
+            orr r10, r10, lr
+            str r10, [r12, r11, lsl #2]
         4:
             "
         };

@@ -1,5 +1,5 @@
 //! The walk of [`crate::pixel_encoder`] over the pixels of the Haar transform on 16 bins, with its
-//! state in registers: what [`crate::few_dsp`] is to the eight-coefficient DCT.
+//! state in registers: what [`crate::transform_walk_dsp`] is to the eight-coefficient DCT.
 //!
 //! A pixel's 16 differences are four registers of [`lanes`]; the DSP instructions' flags by byte tell
 //! the lanes that are not 0 and the levels. The loop in Rust stays for other processors and for

@@ -8,7 +8,8 @@
 //! One stage, one file. Every buffer is lent by the caller or sits in [`Storage`]; nothing
 //! allocates, nothing uses floating point on the way from an event to a frame, and the same code
 //! gives the same bits on a microcontroller and on a host. Feature `defmt` derives `defmt::Format`
-//! on the public types; `float` adds two kernels in f32 to compare with ([`kernel`]).
+//! on the public types; `float` adds two kernels in f32 to compare with ([`kernel`]); `portable` leaves
+//! assembly out, to compare with.
 #![no_std]
 
 #[cfg(test)]
@@ -17,6 +18,10 @@ extern crate std;
 pub mod atom;
 pub mod bits;
 mod checksum;
+#[cfg(any(test, eecvs_dsp))]
+mod checksum_fold;
+#[cfg(eecvs_dsp)]
+mod code_tables_dsp;
 pub mod coder;
 pub mod density;
 pub mod descriptor;
@@ -25,10 +30,10 @@ pub mod event;
 mod event_encoder;
 pub mod event_link;
 pub mod evt2;
+#[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
+mod fast_walk;
 #[cfg(eecvs_dsp)]
-mod fast_dsp;
-#[cfg(eecvs_dsp)]
-mod few_dsp;
+mod fast_walk_dsp;
 pub mod filter;
 pub mod fixed_point;
 pub mod frame;
@@ -50,11 +55,15 @@ mod prune_dsp;
 pub mod quantise;
 mod rate;
 pub mod regime;
+#[cfg(eecvs_dsp)]
+mod segments_dsp;
 pub mod sensor_source;
 mod sort;
 pub mod storage;
 pub mod trace;
 pub mod transform;
+#[cfg(eecvs_dsp)]
+mod transform_walk_dsp;
 pub mod unpack;
 #[cfg(target_arch = "x86_64")]
 mod waves_avx2;

@@ -21,7 +21,7 @@ use crate::waves_avx2;
 use crate::waves_dsp::{self, Waves};
 use crate::window::{Slot, Window};
 #[cfg(eecvs_dsp)]
-use crate::{few_dsp, lanes_dsp};
+use crate::{lanes_dsp, transform_walk_dsp};
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
 
@@ -137,8 +137,13 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             #[cfg(eecvs_dsp)]
             if !T::LISTENS {
                 let room = (&mut *writer, FEW_WORDS_MAX);
-                let (some, places) =
-                    few_dsp::walk((group, window), self.scale, &mut self.packer, room, None);
+                let (some, places) = transform_walk_dsp::walk(
+                    (group, window),
+                    self.scale,
+                    &mut self.packer,
+                    room,
+                    None,
+                );
                 events += some;
                 pixels += places;
                 if !writer.has_words(FEW_WORDS_MAX) {
@@ -197,8 +202,13 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             if !T::LISTENS {
                 let room = (&mut *writer, words);
                 let all = (&mut *group, &mut *window);
-                let (some, places) =
-                    few_dsp::walk(all, self.scale, &mut self.packer, room, Some(&mut waves));
+                let (some, places) = transform_walk_dsp::walk(
+                    all,
+                    self.scale,
+                    &mut self.packer,
+                    room,
+                    Some(&mut waves),
+                );
                 events += some;
                 pixels += places;
             }

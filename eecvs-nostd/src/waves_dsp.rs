@@ -8,7 +8,7 @@ use core::arch::naked_asm;
 use core::mem::{MaybeUninit, offset_of};
 
 use crate::bits::{BitWriter, Position};
-use crate::few_dsp::{self, Counts};
+use crate::code_tables_dsp::{self, Counts};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, FRACTION_BITS, Sum};
 use crate::group::Impulses;
 use crate::pack::{Packer, put_levels};
@@ -96,7 +96,7 @@ impl<'e> Waves<'e> {
             shift,
             one_bits,
             gap_zeros: 30_u32.wrapping_sub(order),
-            counts: few_dsp::counts(),
+            counts: code_tables_dsp::counts(),
             grid: shape.grid as u32,
             low: !(u32::MAX << (shape.r as u32 & 31)),
             phase_shift,

@@ -160,6 +160,34 @@ impl Counts {
         text
     }
 
+    /// Instructions per event of the whole, with assembly and in plain Rust, one run a line.
+    pub fn beside(&self, plain: &Self) -> anyhow::Result<String> {
+        let mut text = format!(
+            "{:10} {:8} {:5} {:>2} {:>8} {:>10}\n",
+            "origin", "cut", "", "M", "assembly", "plain Rust"
+        );
+        for run in &self.0 {
+            let plain = plain.0.iter().find(|plain| plain.key() == run.key());
+            let plain = plain.with_context(|| format!("{:?}: not in both", run.key()))?;
+            anyhow::ensure!(
+                (run.check, run.bytes) == (plain.check, plain.bytes),
+                "{:?}: the frames differ",
+                run.key()
+            );
+            let _ = writeln!(
+                text,
+                "{:10} {:8} {:5} {:>2} {:>8.1} {:>10.1}",
+                run.origin,
+                run.cut,
+                run.transform,
+                run.m,
+                run.per_event(),
+                plain.per_event()
+            );
+        }
+        Ok(text)
+    }
+
     /// What has changed since `saved`.
     pub fn compare(&self, saved: &Self) -> Comparison {
         let mut comparison = Comparison::default();

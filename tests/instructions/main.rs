@@ -5,6 +5,7 @@
 //! instructions cuts FOLDER [RECORDINGS]    cuts into FOLDER/recordings and FOLDER/emulator
 //! instructions verify COUNTS FOLDER       the image's frames are those of the cuts on this host
 //! instructions table COUNTS                COUNTS, as the image prints them, as a table
+//! instructions portable COUNTS PLAIN       the whole of COUNTS beside that of an image without assembly
 //! instructions save COUNTS SAVED           COUNTS into SAVED; an origin that was not measured stays
 //! instructions check COUNTS SAVED          exit 1 where a stage has grown
 //! instructions readme SAVED README         the tables of SAVED into README
@@ -36,6 +37,10 @@ fn main() -> anyhow::Result<ExitCode> {
             }
         }
         ["table", counts] => print!("{}", Counts::read(Path::new(counts))?.table()),
+        ["portable", counts, plain] => {
+            let plain = Counts::read(Path::new(plain))?;
+            print!("{}", Counts::read(Path::new(counts))?.beside(&plain)?);
+        }
         ["save", counts, saved] => {
             let saved = Path::new(saved);
             let mut counts = Counts::read(Path::new(counts))?;
@@ -57,7 +62,9 @@ fn main() -> anyhow::Result<ExitCode> {
         ["readme", saved, path] => {
             readme::write(&Counts::read(Path::new(saved))?, Path::new(path))?;
         }
-        _ => bail!("usage: instructions cuts|table|save|check ...; see the head of its source"),
+        _ => bail!(
+            "usage: instructions cuts|table|portable|save|check ...; see the head of its source"
+        ),
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -9,6 +9,8 @@
 use crate::bits::Ended;
 use crate::coder::big_bits::{BigReader, BigWriter, CODE_BITS, Code};
 use crate::event::Sensor;
+#[cfg(not(target_pointer_width = "64"))]
+use crate::window::FIRST;
 use crate::window::SEGMENT_PIXELS;
 
 /// Words of room without which no pixel is begun, and no further event of it: up to 48 bits of gap,
@@ -137,11 +139,27 @@ impl Gaps {
         self.next = place + 1;
         self.term_left -= 1;
         if self.term_left == 0 {
-            let way = self.next - self.term_start;
-            self.set(way.min(self.term_max), cell_bits);
-            self.term_start = self.next;
-            self.term_left = TERM_PIXELS;
+            self.end_term(self.next, cell_bits);
         }
+    }
+
+    /// A term's last pixel was the one before `next`.
+    #[inline(always)]
+    pub(crate) fn end_term(&mut self, next: u32, cell_bits: u32) {
+        let way = next - self.term_start;
+        self.set(way.min(self.term_max), cell_bits);
+        self.term_start = next;
+        self.term_left = TERM_PIXELS;
+    }
+
+    /// The longest gap whose pixel has its first event in a code of 32 bits with it, and a second one's
+    /// polarity; 0 also where there is none.
+    #[cfg(not(target_pointer_width = "64"))]
+    pub(crate) const fn gap_max(&self) -> u32 {
+        // Leading zeros that it has to have.
+        let zeros = self.bits.saturating_sub(30) >> 1;
+        let raised = if zeros < u32::BITS { FIRST >> zeros } else { 0 };
+        raised.saturating_sub(self.base / 2 + 1)
     }
 }
 
@@ -172,13 +190,13 @@ impl Fast {
     }
 
     /// Places in a row.
-    #[cfg(eecvs_dsp)]
+    #[cfg(not(target_pointer_width = "64"))]
     pub(crate) const fn row(&self) -> u32 {
         self.row
     }
 
     /// Bits of a cell.
-    #[cfg(eecvs_dsp)]
+    #[cfg(not(target_pointer_width = "64"))]
     pub(crate) const fn cell_bits(&self) -> u32 {
         self.cell_bits
     }

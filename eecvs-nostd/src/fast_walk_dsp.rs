@@ -14,6 +14,7 @@ use core::mem::offset_of;
 use crate::coder::big_bits::BigWriter;
 use crate::coder::fast::{END, FLIP, Fast, Gaps, ROOM_WORDS, TERM_PIXELS, TERM_SHIFT};
 use crate::group::{Entry, Group};
+use crate::segments_dsp::{Source, next_segments};
 use crate::window::{
     COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window,
 };
@@ -33,7 +34,7 @@ struct Walk<'w, 'b> {
     /// From the place after the last pixel's to that.
     since: u32,
     /// The longest gap whose pixel has a code of 32 bits with its first event.
-    gap_max: i32,
+    gap_max: u32,
     /// Of 32 segments, those still to be visited.
     segments: u32,
     /// The first of them.
@@ -70,8 +71,7 @@ struct Walk<'w, 'b> {
     out: *mut [u8; 4],
     /// Place after the last pixel's, at the end.
     next: u32,
-    group: *mut Group,
-    window: *mut Window<'w>,
+    source: Source<'w>,
     /// Ties the pointers to what they point to.
     borrowed: PhantomData<&'b mut ()>,
 }
@@ -86,16 +86,6 @@ const NEXT_AT: usize = 6;
 /// 31 in each of four bytes.
 const ORDERS: u32 = 0x1f1f_1f1f;
 
-/// The longest gap whose pixel has its first event in a code of 32 bits with it.
-const fn gap_max(gaps: &Gaps) -> i32 {
-    // Leading zeros that it has to have; a second event's polarity is a bit more.
-    let zeros = match gaps.bits.saturating_sub(30) >> 1 {
-        zeros @ 0..=31 => zeros,
-        _ => 31,
-    };
-    (FIRST >> zeros).wrapping_sub(gaps.base / 2 + 1) as i32
-}
-
 /// Encodes pixels up to the window's last, or up to one that [`Fast::write`] has to see to, which is
 /// the group's next then. Returns their events.
 ///
@@ -107,7 +97,7 @@ pub fn walk(
 ) -> u32 {
     // Up to 31: else there is no gap whose code is short enough.
     let event_bits = (coder.cell_bits() + 1) & 31;
-    let gap_max = gap_max(&coder.gaps);
+    let gap_max = coder.gaps.gap_max();
     if gap_max < SEGMENT || !writer.has_words(ROOM_WORDS) {
         return 0;
     }
@@ -151,8 +141,7 @@ pub fn walk(
         counts: (term << PIXEL_SHIFT) | EMPTY,
         out: words.wrapping_add(writer.state.words),
         next: 0,
-        group,
-        window,
+        source: Source { group, window },
         borrowed: PhantomData,
     };
     // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns`
@@ -163,7 +152,7 @@ pub fn walk(
     // have the instructions.
     unsafe { walk_columns(&mut walk) };
     // SAFETY: the references that they were made of are not used before this.
-    let group = unsafe { &mut *walk.group };
+    let group = unsafe { &mut *walk.source.group };
     group.segments = walk.segments;
     group.first_segment = walk.first_segment;
     group.columns = walk.columns.reverse_bits();
@@ -191,7 +180,7 @@ pub fn walk(
 }
 
 /// Columns of a segment.
-const SEGMENT: i32 = 1 << COLUMN_BITS;
+const SEGMENT: u32 = 1 << COLUMN_BITS;
 
 // What the assembly takes for granted.
 const _: () = assert!(SLOTS_MAX < EMPTY as usize && NO_SLOT >= EMPTY);
@@ -202,19 +191,6 @@ const _: () =
 const _: () = assert!(offset_of!(Walk<'_, '_>, heads) == 64);
 const _: () = assert!(offset_of!(Walk<'_, '_>, columns) == 72);
 const _: () = assert!(offset_of!(Walk<'_, '_>, out) == 96);
-
-/// Goes to the next 32 segments of which some have events; returns those, 0 where there are none.
-unsafe extern "C" fn next_segments(walk: &mut Walk<'_, '_>, first: &mut u32) -> u32 {
-    // SAFETY: see `walk`; nothing else has a reference while this runs.
-    let (group, window) = unsafe { (&mut *walk.group, &mut *walk.window) };
-    match window.take_segments(&mut group.cursor) {
-        Some((first_segment, segments)) => {
-            *first = first_segment;
-            segments
-        }
-        None => 0,
-    }
-}
 
 /// Puts a code of which r10 has taken the bits already, and which completes a word; overwrites the
 /// second register.
@@ -576,26 +552,20 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "str r11, [r7, #-8]",
         room!("r0", "12f"),
         next!(),
+        // Whether there is room for another is asked once: two words more are there anyway.
         "61:",
         word!("r0", "r3"),
-        room!("r3", "64f"),
-        "b 62b",
-        // The last pixel that there is room for.
-        "64:",
         "lsls r2, r2, #2",
         "adds r2, #{end}",
         "sub r10, r10, r1",
         "subs r10, r10, #34",
-        "bgt 65f",
-        word!("r2", "r1"),
-        "b 66f",
-        "65:",
+        "ble 63b",
         "lsl r1, r2, r10",
         "orr r9, r9, r1",
-        "66:",
         "add r11, r11, #1",
         "str r11, [r7, #-8]",
-        "b 12f",
+        room!("r0", "12f"),
+        next!(),
         // Three events and more. r4: cell of the last one; r7: its link.
         "60:",
         "adc r3, r3, r3",
@@ -722,6 +692,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "14:",
         "str r12, [sp, #4]",
         "ldr r0, [sp, #104]",
+        "adds r0, #{source}",
         "add r1, sp, #64",
         "bl {next_segments}",
         "ldr r12, [sp, #4]",
@@ -773,6 +744,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "add sp, #108",
         "pop {{r4-r11, pc}}",
         next_segments = sym next_segments,
+        source = const offset_of!(Walk<'_, '_>, source),
         first = const FIRST,
         pixel = const 1 << PIXEL_SHIFT,
         end = const END,

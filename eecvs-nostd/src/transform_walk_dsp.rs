@@ -12,10 +12,12 @@ use core::marker::PhantomData;
 use core::mem::offset_of;
 
 use crate::bits::{BitWriter, Position};
+use crate::code_tables_dsp::{Counts, SIDE_BITS_MAX, TABLES};
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::group::{Entry, Group};
 use crate::pack::Packer;
 use crate::phase::PhaseScale;
+use crate::segments_dsp::{Source, next_segments};
 use crate::transform::rows::{self, Lines};
 use crate::waves_dsp::{self, Waves};
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, Slot};
@@ -82,8 +84,7 @@ struct Walk<'w, 's, 'o> {
     /// Those of the DTFT's pixels.
     waves: *mut Waves<'w>,
     packer: *mut Packer,
-    group: *mut Group,
-    window: *mut Window<'s>,
+    source: Source<'s>,
     writer: *mut BitWriter<'o>,
     /// Ties the pointers to what they point to.
     borrowed: PhantomData<&'w mut ()>,
@@ -153,8 +154,7 @@ pub fn walk(
         sums: [0; 7],
         waves: waves.cast(),
         packer,
-        group,
-        window,
+        source: Source { group, window },
         writer,
         borrowed: PhantomData,
     };
@@ -166,7 +166,7 @@ pub fn walk(
     // there. The build script sets `eecvs_dsp` only for cores that have the instructions.
     let counts = unsafe { walk_columns(&mut walk) };
     // SAFETY: the references that they were made of are not used before this.
-    let (group, packer) = unsafe { (&mut *walk.group, &mut *walk.packer) };
+    let (group, packer) = unsafe { (&mut *walk.source.group, &mut *walk.packer) };
     group.segments = walk.segments;
     group.first_segment = walk.first_segment;
     group.columns = walk.columns.reverse_bits();
@@ -179,79 +179,14 @@ pub fn walk(
     (counts & 0xffff, counts >> 16)
 }
 
-/// Of n events: two to the bits of n's code, by which the ON events are moved behind it, in the upper
-/// half; 32 and the bits of n and of the ON events, less the leading zeros of n - 1, in the lower; and
-/// what is to be added where the gap's code ends, besides the ON events.
-///
-/// The 1s above the gap's code and above n's are taken off there.
-pub type Counts = [[u32; 2]; CHUNK_EVENTS + 1];
-const COUNTS: Counts = {
-    let mut counts = [[0; 2]; CHUNK_EVENTS + 1];
-    let mut n = 2;
-    while n <= CHUNK_EVENTS as u32 {
-        let low_bits = n.ilog2();
-        let code = (((n << 1) + 1) << low_bits) - (2 << (2 * low_bits)) - 1;
-        let bits = 3 * low_bits + 2 + 32 - (n - 1).leading_zeros();
-        counts[n as usize] = [(1 << (16 + 2 * low_bits + 1)) | bits, code];
-        n += 1;
-    }
-    counts
-};
-
-/// Of levels of b bits: 2^b, and the highest bits of three and of four side by side.
-const SIDE_BY_SIDE: [[u32; 4]; SIDE_BITS_MAX] = {
-    let mut rows = [[0; 4]; SIDE_BITS_MAX];
-    let mut bits = 1;
-    while bits <= SIDE_BITS_MAX {
-        let half = 1_u32 << (bits - 1);
-        let three = half | (half << bits) | (half << (2 * bits));
-        // Widest first, so that they are found backwards from what follows them.
-        rows[SIDE_BITS_MAX - bits] = [1 << bits, three, three | (half << (3 * bits)), 0];
-        bits += 1;
-    }
-    rows
-};
-/// Bits of the widest levels of which a word has room for four.
-const SIDE_BITS_MAX: usize = 8;
-
-#[repr(C)]
-struct Tables {
-    side_by_side: [[u32; 4]; SIDE_BITS_MAX],
-    counts: Counts,
-}
-
-static TABLES: Tables = Tables {
-    side_by_side: SIDE_BY_SIDE,
-    counts: COUNTS,
-};
-
-/// [`Counts`].
-pub const fn counts() -> &'static Counts {
-    &TABLES.counts
-}
-
 // What the assembly takes for granted. Both counts fit half a word, and a link's sign tells the end.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000);
 const _: () = assert!(size_of::<Slot>() == 8 && NEXT_SHIFT == 16 && CHUNK_EVENTS < 64);
 const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, tally) == 4);
-const _: () = assert!(offset_of!(Tables, counts) == 16 * SIDE_BITS_MAX);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, base) == 60);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, counts) == 36);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, position) == 100);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 108);
-
-/// Goes to the next 32 segments of which some have events; returns those, 0 where there are none.
-unsafe extern "C" fn next_segments(walk: &mut Walk<'_, '_, '_>, first: &mut u32) -> u32 {
-    // SAFETY: see `walk`; nothing else has a reference while this runs.
-    let (group, window) = unsafe { (&mut *walk.group, &mut *walk.window) };
-    match window.take_segments(&mut group.cursor) {
-        Some((first_segment, segments)) => {
-            *first = first_segment;
-            segments
-        }
-        None => 0,
-    }
-}
 
 /// A single event whose code is longer than 31 bits; `gap` is twice its gap plus 2^g, and 1.
 unsafe extern "C" fn single_long(walk: &mut Walk<'_, '_, '_>, gap: u32, rest: u32) {
@@ -274,7 +209,7 @@ unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u3
 unsafe extern "C" fn choose(walk: &mut Walk<'_, '_, '_>, tally: u32, head: u32) -> u32 {
     // SAFETY: see `walk`; nothing else has a reference while this runs, and this is called only where
     // there are `Waves`.
-    let (waves, window) = unsafe { (&mut *walk.waves, &mut *walk.window) };
+    let (waves, window) = unsafe { (&mut *walk.waves, &mut *walk.source.window) };
     waves.choose_largest((tally, head), window.slots(), &mut ())
 }
 
@@ -710,6 +645,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "14:",
         "str r12, [sp, #140]",
         "ldr r0, [sp, #156]",
+        "adds r0, #{source}",
         "add r1, sp, #72",
         "bl {next_segments}",
         "ldr r12, [sp, #140]",
@@ -826,6 +762,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "strd r9, r3, [r1, #4]",
         "bx lr",
         next_segments = sym next_segments,
+        source = const offset_of!(Walk<'_, '_, '_>, source),
         seven_long = sym seven_long,
         choose = sym choose,
         wave_long = sym wave_long,
