@@ -3,16 +3,19 @@
 use core::num::NonZeroU32;
 use core::ops::Range;
 
+use crate::arrival;
 use crate::bits::BitWriter;
 use crate::coder::chain::Chain;
 use crate::coder::dense::{Dense, DenseMemory, EVENT_BYTES_MAX};
-use crate::coder::{Coder, Fidelity, Hybrid, Readout, Scans, Times};
+use crate::coder::{Cells, Coder, Fidelity, Hybrid, Readout, Scans, Times};
 use crate::density::Density;
 use crate::event::Event;
 use crate::event_encoder::EventEncoder;
 use crate::filter::Filter;
 use crate::fixed_point::{Sum, WideSum};
-use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, seal};
+use crate::frame::{
+    CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, OrderSection, seal,
+};
 use crate::group::Group;
 use crate::kernel::{Accumulate, WithKernel};
 use crate::packing::PIXEL_BYTES_MAX;
@@ -62,6 +65,10 @@ pub struct Config {
     pub filter: Filter,
     /// Bytes that the frames of any second take at the most, of a hybrid mode: see `rate.rs`.
     pub bytes_per_second: Option<NonZeroU32>,
+    /// Events of equal time are decoded in the order in which they came, of a hybrid mode; equal is what a
+    /// decoder is told as the same cell. Under a budget, where there is room for it. It takes
+    /// [`Scratch::order`].
+    pub keep_order: bool,
 }
 
 /// Why a configuration cannot run.
@@ -80,6 +87,8 @@ pub enum ConfigError {
     Bins,
     /// A budget for coefficients, or of fewer than some 146 bytes a window.
     Rate,
+    /// The order of events of mode transform, or without memory for it.
+    Order,
 }
 
 /// Why an encoder cannot be set up.
@@ -114,6 +123,9 @@ impl Config {
             if matches!(self.mode, Mode::Transform) || (budget.get() as u64) < least {
                 return Err(ConfigError::Rate);
             }
+        }
+        if self.keep_order && (matches!(self.mode, Mode::Transform) || scratch.order.is_empty()) {
+            return Err(ConfigError::Order);
         }
         match self.mode {
             Mode::Transform if scratch.numbers() < 2 * self.grid_max() => Err(ConfigError::Scratch),
@@ -166,6 +178,9 @@ pub struct Scratch<'b> {
     /// Pixels that are never sent: a word per segment of 32 columns, in raster order, bit i its column i.
     /// May be empty, or shorter than the sensor.
     pub hot: &'b [u32],
+    /// Words for [`Config::keep_order`], [`arrival::words`] of a window's slots, and none without it. A
+    /// window that filled more slots is sent without its order, which its frames then do not claim.
+    pub order: &'b mut [u32],
 }
 
 impl Scratch<'_> {
@@ -212,6 +227,9 @@ struct Task {
     left: u32,
     /// The next pixel is the rest of one that is partly in a frame.
     is_rest: bool,
+    /// Slots that were filled, and how much of their order is told, where it is to be.
+    used: u32,
+    order: Option<arrival::Progress>,
 }
 
 /// A frame in the output.
@@ -371,7 +389,8 @@ impl<'b> WindowEncoder<'b> {
             end = end.min(most);
         }
         let payload = &mut out[HEADER_BYTES_MAX..end];
-        let payload_bytes = match header.mode {
+        header.order = None;
+        let mut payload_bytes = match header.mode {
             Mode::Transform => {
                 let mut writer = BitWriter::new(payload);
                 let scale = task.scale;
@@ -402,13 +421,24 @@ impl<'b> WindowEncoder<'b> {
                 self.breaks = true;
                 0
             }
+            // What there is left to tell is the order.
+            Mode::Hybrid(_) if task.left == 0 && header.part > 0 => {
+                header.events = 0;
+                header.last = true;
+                0
+            }
             Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, &mut task, payload, trace),
         };
+        if task.header.last && task.order.is_some() && !is_spent {
+            let room = payload.get_mut(payload_bytes..).unwrap_or_default();
+            payload_bytes += self.encode_order(&mut task, payload_bytes, room);
+        }
         let header = &mut task.header;
         trace.enter(Stage::Frame);
         let range = seal(header, payload_bytes, out)?;
         if let Some(rate) = &mut self.rate {
-            rate.spend(range.len(), header.events);
+            let order_bytes = header.order.map_or(0, |order| order.bytes as usize);
+            rate.spend(range.len(), order_bytes, header.events);
         }
         self.sequence = self.sequence.wrapping_add(1);
         let encoded = Encoded {
@@ -424,6 +454,7 @@ impl<'b> WindowEncoder<'b> {
 
     fn begin(&mut self, closed: Closed, window: &mut Window<'_>) -> Task {
         let WindowConfig { sensor, .. } = window.config();
+        let used = window.events();
         let filtered = self.config.filter.apply(self.scratch.hot, window);
         window.count_filtered(filtered);
         let density = Density {
@@ -456,6 +487,13 @@ impl<'b> WindowEncoder<'b> {
             }),
             (mode, _) => mode,
         };
+        let order = match mode {
+            Mode::Hybrid(hybrid) if self.config.keep_order => {
+                let cells = Cells::new(hybrid.fidelity, closed.duration_us);
+                arrival::note(self.scratch.order, window, used, cells)
+            }
+            _ => None,
+        };
         Task {
             header: Header {
                 truncated: closed.truncated,
@@ -466,6 +504,7 @@ impl<'b> WindowEncoder<'b> {
                     || self.chain.next(window.events(), self.config.key_windows),
                 has_previous: false,
                 scans,
+                order: None,
                 sequence: 0,
                 part: 0,
                 sensor,
@@ -487,6 +526,8 @@ impl<'b> WindowEncoder<'b> {
             scale: PhaseScale::new(closed.duration_us),
             left: window.events(),
             is_rest: false,
+            used,
+            order,
         }
     }
 
@@ -534,6 +575,39 @@ impl<'b> WindowEncoder<'b> {
         task.left -= taken.events;
         self.breaks = taken.overran;
         taken.payload_bytes
+    }
+
+    /// Tells the window's order, or as much of it as there is room for, behind a payload of so many bytes;
+    /// returns the bytes it took.
+    #[inline(never)]
+    fn encode_order(&mut self, task: &mut Task, payload_bytes: usize, room: &mut [u8]) -> usize {
+        let Some(progress) = &mut task.order else {
+            return 0;
+        };
+        let room = match &self.rate {
+            Some(rate) => {
+                let most = rate.order_room(payload_bytes).min(room.len());
+                room.get_mut(..most).unwrap_or_default()
+            }
+            None => room,
+        };
+        let told = arrival::tell(self.scratch.order, task.used, progress, room);
+        let is_complete = progress.is_complete();
+        let header = &mut task.header;
+        if !is_complete && self.rate.is_some() {
+            // Not worth a frame of its own.
+            task.order = None;
+            return 0;
+        }
+        header.last = is_complete;
+        if told.events == 0 && !is_complete {
+            return 0;
+        }
+        header.order = Some(OrderSection {
+            bytes: told.bytes as u32,
+            events: if is_complete { 0 } else { told.events },
+        });
+        told.bytes
     }
 
     /// Encodes pixels up to the last, or up to the first that finds no room; returns whether that
@@ -608,6 +682,7 @@ impl<'b> WindowEncoder<'b> {
 ///     readout: None,
 ///     filter: Filter::NONE,
 ///     bytes_per_second: None,
+///     keep_order: false,
 /// };
 /// let mut encoder = storage.encoder(config).unwrap();
 /// let mut out = [0; 2048];
@@ -648,9 +723,13 @@ impl<'b> Encoder<'b> {
         buffers: WindowBuffers<'b>,
         scratch: Scratch<'b>,
     ) -> Result<Self, SetupError> {
+        let slots = buffers.slots.len();
         let Some(window) = Window::new(config.window, buffers) else {
             return Err(SetupError::Window);
         };
+        if config.keep_order && scratch.order.len() < arrival::words(slots) {
+            return Err(SetupError::Config(ConfigError::Order));
+        }
         match WindowEncoder::new(config, scratch) {
             Ok(encoder) => Ok(Self::new(window, encoder)),
             Err(error) => Err(SetupError::Config(error)),

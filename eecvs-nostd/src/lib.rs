@@ -14,6 +14,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod arrival;
 pub mod atom;
 pub mod bits;
 mod checksum;
@@ -71,7 +72,7 @@ pub use encoder::{
 };
 pub use event::{Event, Polarity, Sensor};
 pub use filter::{Filter, Region};
-pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom};
+pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom, OrderSection};
 pub use kernel::Kernel;
 pub use link::{Order, Scan, Sequence, scan};
 pub use packing::{Packing, Shape};

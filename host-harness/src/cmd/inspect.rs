@@ -42,6 +42,8 @@ struct Row {
     bins: Option<u16>,
     /// Where times are told by scans.
     scan_period_us: Option<f64>,
+    /// Where the order of events of equal time is told: bytes of it.
+    order_bytes: Option<u32>,
     /// Decodes by itself.
     key: bool,
     density_per_px_s: f64,
@@ -143,6 +145,7 @@ impl Row {
             scan_period_us: header
                 .scans
                 .map(|scans| f64::from(scans.readout().period_q16()) / 65_536.0),
+            order_bytes: header.order.map(|order| order.bytes),
             key: header.is_key,
             density_per_px_s: density.per_pixel_s(),
             regime: header.regime.name(),
