@@ -25,7 +25,6 @@ fn with_budget(sensor: Sensor, coder: Coder, fidelity: Fidelity, budget: u32) ->
     Config {
         mode: Mode::Hybrid(Hybrid { coder, fidelity }),
         bytes_per_second: NonZeroU32::new(budget),
-        keep_order: false,
         ..plain_config(sensor, Transform::Dct, 8)
     }
 }

@@ -87,7 +87,7 @@ pub enum ConfigError {
     Bins,
     /// A budget for coefficients, or of fewer than some 146 bytes a window.
     Rate,
-    /// The order of events of mode transform, or without memory for it.
+    /// The order of events of mode transform, without memory for it, or without the feature `order`.
     Order,
 }
 
@@ -124,7 +124,9 @@ impl Config {
                 return Err(ConfigError::Rate);
             }
         }
-        if self.keep_order && (matches!(self.mode, Mode::Transform) || scratch.order.is_empty()) {
+        let has_order =
+            HAS_ORDER && !matches!(self.mode, Mode::Transform) && !scratch.order.is_empty();
+        if self.keep_order && !has_order {
             return Err(ConfigError::Order);
         }
         match self.mode {
@@ -214,6 +216,9 @@ const fn rate(config: &Config) -> Option<Rate> {
         None => None,
     }
 }
+
+/// Whether windows can keep the order of their events: without the feature nothing of it is compiled.
+const HAS_ORDER: bool = cfg!(feature = "order");
 
 /// A budget that has less left sends no event: the longest header, an event, and what is told before it.
 const FRAME_BYTES_LEAST: usize = HEADER_BYTES_MAX + CRC_BYTES + EVENT_BYTES_MAX + 24;
@@ -422,14 +427,14 @@ impl<'b> WindowEncoder<'b> {
                 0
             }
             // What there is left to tell is the order.
-            Mode::Hybrid(_) if task.left == 0 && header.part > 0 => {
+            Mode::Hybrid(_) if HAS_ORDER && task.left == 0 && header.part > 0 => {
                 header.events = 0;
                 header.last = true;
                 0
             }
             Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, &mut task, payload, trace),
         };
-        if task.header.last && task.order.is_some() && !is_spent {
+        if HAS_ORDER && task.header.last && task.order.is_some() && !is_spent {
             let room = payload.get_mut(payload_bytes..).unwrap_or_default();
             payload_bytes += self.encode_order(&mut task, payload_bytes, room);
         }
@@ -488,7 +493,7 @@ impl<'b> WindowEncoder<'b> {
             (mode, _) => mode,
         };
         let order = match mode {
-            Mode::Hybrid(hybrid) if self.config.keep_order => {
+            Mode::Hybrid(hybrid) if HAS_ORDER && self.config.keep_order && window.events() > 0 => {
                 let cells = Cells::new(hybrid.fidelity, closed.duration_us);
                 arrival::note(self.scratch.order, window, used, cells)
             }

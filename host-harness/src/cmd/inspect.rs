@@ -166,7 +166,7 @@ impl Row {
     fn print_titles(out: &mut impl Write) -> std::io::Result<()> {
         writeln!(
             out,
-            "{:>6} {:>6} {:>17} {:>9} {:>8} {:>8} {:>8} {:4} {:>3} {:>4} {:>9} {:>8} {:>5} {:>5} {:>5}",
+            "{:>6} {:>6} {:>17} {:>9} {:>8} {:>8} {:>8} {:4} {:>3} {:>4} {:>9} {:>8} {:>5} {:>5} {:>5} {:>6}",
             "index",
             "seq",
             "t0_us",
@@ -181,7 +181,8 @@ impl Row {
             "bytes",
             "late",
             "filt",
-            "drop"
+            "drop",
+            "order"
         )
     }
 
@@ -202,13 +203,16 @@ impl Row {
             late,
             filtered,
             dropped,
+            order_bytes,
             ..
         } = self;
+        // In bytes; none where none is told.
+        let order = order_bytes.map_or(String::new(), |bytes| bytes.to_string());
         let coder = coder.unwrap_or("");
         writeln!(
             out,
             "{index:>6} {seq:>6} {t0_us:>17} {duration_us:>9} {events:>8} {coder:>8} {regime:>8} \
-             {transform:4} {m:>3} {grid:>4} {step:>9} {bytes:>8} {late:>5} {filtered:>5} {dropped:>5}"
+             {transform:4} {m:>3} {grid:>4} {step:>9} {bytes:>8} {late:>5} {filtered:>5} {dropped:>5} {order:>6}"
         )
     }
 }
