@@ -30,6 +30,8 @@ const FIRST: u32 = 1 << 31;
 /// How much of a window's order is told.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Progress {
+    /// Slots that were filled.
+    used: u32,
     axis: Axis,
     /// All events, those told, and where the group at hand begins and ends.
     events: u32,
@@ -148,6 +150,7 @@ pub(crate) fn note(
         };
     }
     Some(Progress {
+        used,
         axis,
         events: events as u32,
         told: 0,
@@ -157,13 +160,13 @@ pub(crate) fn note(
     })
 }
 
-/// Tells as much of the order as there is room for. Of a window that was noted with `used` slots.
+/// Tells as much of the order as there is room for.
 #[inline(never)]
-pub(crate) fn tell(memory: &mut [u32], used: u32, progress: &mut Progress, out: &mut [u8]) -> Told {
+pub(crate) fn tell(memory: &mut [u32], progress: &mut Progress, out: &mut [u8]) -> Told {
     let before = progress.told;
     let mut coder = RangeEncoder::new(out);
     let mut learned = Learned::START;
-    if let Some(mut parts) = Parts::new(memory, used as usize) {
+    if let Some(mut parts) = Parts::new(memory, progress.used as usize) {
         while progress.told < progress.events && coder.has_room(PLACE_BYTES_MAX) {
             if progress.told == 0 {
                 coder.plain(u32::from(progress.axis == Axis::Columns), 1);

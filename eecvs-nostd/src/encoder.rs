@@ -232,9 +232,6 @@ struct Task {
     left: u32,
     /// The next pixel is the rest of one that is partly in a frame.
     is_rest: bool,
-    /// Slots that were filled, and how much of their order is told, where it is to be.
-    used: u32,
-    order: Option<arrival::Progress>,
 }
 
 /// A frame in the output.
@@ -261,6 +258,8 @@ pub struct WindowEncoder<'b> {
     /// Whatever the chain says, the next frame begins anew.
     breaks: bool,
     rate: Option<Rate>,
+    /// How much of the window's order is told, where it is to be.
+    order: Option<arrival::Progress>,
 }
 
 impl<'b> WindowEncoder<'b> {
@@ -282,6 +281,7 @@ impl<'b> WindowEncoder<'b> {
             chain: Chain::START,
             breaks: false,
             rate: rate(&config),
+            order: None,
         })
     }
 
@@ -434,9 +434,9 @@ impl<'b> WindowEncoder<'b> {
             }
             Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, &mut task, payload, trace),
         };
-        if HAS_ORDER && task.header.last && task.order.is_some() && !is_spent {
+        if HAS_ORDER && task.header.last && self.order.is_some() && !is_spent {
             let room = payload.get_mut(payload_bytes..).unwrap_or_default();
-            payload_bytes += self.encode_order(&mut task, payload_bytes, room);
+            payload_bytes += self.encode_order(&mut task.header, payload_bytes, room);
         }
         let header = &mut task.header;
         trace.enter(Stage::Frame);
@@ -492,7 +492,7 @@ impl<'b> WindowEncoder<'b> {
             }),
             (mode, _) => mode,
         };
-        let order = match mode {
+        self.order = match mode {
             Mode::Hybrid(hybrid) if HAS_ORDER && self.config.keep_order && window.events() > 0 => {
                 let cells = Cells::new(hybrid.fidelity, closed.duration_us);
                 arrival::note(self.scratch.order, window, used, cells)
@@ -531,8 +531,6 @@ impl<'b> WindowEncoder<'b> {
             scale: PhaseScale::new(closed.duration_us),
             left: window.events(),
             is_rest: false,
-            used,
-            order,
         }
     }
 
@@ -585,8 +583,13 @@ impl<'b> WindowEncoder<'b> {
     /// Tells the window's order, or as much of it as there is room for, behind a payload of so many bytes;
     /// returns the bytes it took.
     #[inline(never)]
-    fn encode_order(&mut self, task: &mut Task, payload_bytes: usize, room: &mut [u8]) -> usize {
-        let Some(progress) = &mut task.order else {
+    fn encode_order(
+        &mut self,
+        header: &mut Header,
+        payload_bytes: usize,
+        room: &mut [u8],
+    ) -> usize {
+        let Some(progress) = &mut self.order else {
             return 0;
         };
         let room = match &self.rate {
@@ -596,12 +599,11 @@ impl<'b> WindowEncoder<'b> {
             }
             None => room,
         };
-        let told = arrival::tell(self.scratch.order, task.used, progress, room);
+        let told = arrival::tell(self.scratch.order, progress, room);
         let is_complete = progress.is_complete();
-        let header = &mut task.header;
         if !is_complete && self.rate.is_some() {
             // Not worth a frame of its own.
-            task.order = None;
+            self.order = None;
             return 0;
         }
         header.last = is_complete;
