@@ -125,6 +125,7 @@ fn frames(folder: &Path) -> anyhow::Result<()> {
             readout: None,
             filter: Filter::NONE,
             bytes_per_second: None,
+            keep_order: false,
         };
         let mut storage = HostStorage::new(sensor, 100);
         let mut encoder = storage.encoder(config)?;

@@ -113,6 +113,7 @@ fn windows(reader: &mut dyn EventReader, step_log2: i8) -> Vec<DecodedWindow> {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     };
     let mut bytes = Vec::new();
     let limits = Limits::default();

@@ -19,6 +19,7 @@ fn header() -> Header {
         is_key: true,
         has_previous: false,
         scans: None,
+        order: None,
         sequence: 0,
         part: 0,
         sensor: Sensor {

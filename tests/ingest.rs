@@ -38,6 +38,7 @@ fn config() -> Config {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     }
 }
 
@@ -147,6 +148,7 @@ impl Machine {
                     magnitudes: leak(0, 64),
                     dense: None,
                     hot: &[],
+                    order: &mut [],
                 };
                 self.encoder = Some(WindowEncoder::new(config, scratch).unwrap());
                 let buffers =
@@ -213,6 +215,7 @@ fn expected(events: &[Event]) -> Vec<u8> {
         magnitudes: &mut magnitudes,
         dense: None,
         hot: &[],
+        order: &mut [],
     };
     let mut encoder = Encoder::set_up(config(), buffers, scratch).unwrap();
     let mut frames = Vec::new();

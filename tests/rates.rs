@@ -107,6 +107,7 @@ fn frames(path: &Path, hybrid: Hybrid) -> (Vec<u8>, f64) {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     };
     let (mut reader, config) = readout::look(reader, config);
     let mut bytes = Vec::new();

@@ -49,6 +49,7 @@ fn frames(path: &Path, transform: Option<Transform>, m: u8, thresholds: Threshol
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     };
     let mut bytes = Vec::new();
     let summary = encode(

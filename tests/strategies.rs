@@ -81,6 +81,7 @@ pub fn config(sensor: Sensor) -> impl Strategy<Value = Config> {
                 readout: None,
                 filter: Filter::NONE,
                 bytes_per_second: None,
+                keep_order: false,
             },
         )
 }
@@ -119,6 +120,7 @@ pub fn plain_config(sensor: Sensor, transform: Transform, m: u8) -> Config {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     }
 }
 

@@ -141,9 +141,10 @@ proptest! {
         window_events in prop_oneof![1..20_usize, 20..2000_usize],
         frame_bytes in prop_oneof![Just(OUTPUT_BYTES_MIN), OUTPUT_BYTES_MIN..20_000],
         batches in proptest::collection::vec(1..400_usize, 1..5),
-        damaged in proptest::bool::weighted(0.2),
+        damaged in proptest::bool::weighted(0.2), keep_order: bool,
     ) {
-        let config = Config { mode, key_windows, ..config };
+        let keep_order = keep_order && mode != Mode::Transform;
+        let config = Config { mode, key_windows, keep_order, ..config };
         let sensor = config.window.sensor;
         let limits = Limits { window_events, frame_bytes };
         let end = if damaged { End::Damage } else { End::Clean };

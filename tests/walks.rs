@@ -34,6 +34,7 @@ fn frames(
         magnitudes: &mut [0; 2 * GRID_MAX],
         dense: None,
         hot: &[],
+        order: &mut [],
     };
     let mut encoder = WindowEncoder::new(config, scratch).expect("an encoder");
     let mut out = vec![0; frame_bytes];

@@ -3,16 +3,19 @@
 use core::num::NonZeroU32;
 use core::ops::Range;
 
+use crate::arrival;
 use crate::bits::BitWriter;
 use crate::coder::chain::Chain;
 use crate::coder::dense::{Dense, DenseMemory, EVENT_BYTES_MAX};
-use crate::coder::{Coder, Fidelity, Hybrid, Readout, Scans, Times};
+use crate::coder::{Cells, Coder, Fidelity, Hybrid, Readout, Scans, Times};
 use crate::density::Density;
 use crate::event::Event;
 use crate::event_encoder::EventEncoder;
 use crate::filter::Filter;
 use crate::fixed_point::{Sum, WideSum};
-use crate::frame::{CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, seal};
+use crate::frame::{
+    CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, OrderSection, seal,
+};
 use crate::group::Group;
 use crate::kernel::{Accumulate, WithKernel};
 use crate::packing::PIXEL_BYTES_MAX;
@@ -62,6 +65,10 @@ pub struct Config {
     pub filter: Filter,
     /// Bytes that the frames of any second take at the most, of a hybrid mode: see `rate.rs`.
     pub bytes_per_second: Option<NonZeroU32>,
+    /// Events of equal time are decoded in the order in which they came, of a hybrid mode; equal is what a
+    /// decoder is told as the same cell. Under a budget, where there is room for it. It takes
+    /// [`Scratch::order`].
+    pub keep_order: bool,
 }
 
 /// Why a configuration cannot run.
@@ -80,6 +87,8 @@ pub enum ConfigError {
     Bins,
     /// A budget for coefficients, or of fewer than some 146 bytes a window.
     Rate,
+    /// The order of events of mode transform, without memory for it, or without the feature `order`.
+    Order,
 }
 
 /// Why an encoder cannot be set up.
@@ -114,6 +123,11 @@ impl Config {
             if matches!(self.mode, Mode::Transform) || (budget.get() as u64) < least {
                 return Err(ConfigError::Rate);
             }
+        }
+        let has_order =
+            HAS_ORDER && !matches!(self.mode, Mode::Transform) && !scratch.order.is_empty();
+        if self.keep_order && !has_order {
+            return Err(ConfigError::Order);
         }
         match self.mode {
             Mode::Transform if scratch.numbers() < 2 * self.grid_max() => Err(ConfigError::Scratch),
@@ -166,6 +180,9 @@ pub struct Scratch<'b> {
     /// Pixels that are never sent: a word per segment of 32 columns, in raster order, bit i its column i.
     /// May be empty, or shorter than the sensor.
     pub hot: &'b [u32],
+    /// Words for [`Config::keep_order`], [`arrival::words`] of a window's slots, and none without it. A
+    /// window that filled more slots is sent without its order, which its frames then do not claim.
+    pub order: &'b mut [u32],
 }
 
 impl Scratch<'_> {
@@ -199,6 +216,9 @@ const fn rate(config: &Config) -> Option<Rate> {
         None => None,
     }
 }
+
+/// Whether windows can keep the order of their events: without the feature nothing of it is compiled.
+const HAS_ORDER: bool = cfg!(feature = "order");
 
 /// A budget that has less left sends no event: the longest header, an event, and what is told before it.
 const FRAME_BYTES_LEAST: usize = HEADER_BYTES_MAX + CRC_BYTES + EVENT_BYTES_MAX + 24;
@@ -238,6 +258,8 @@ pub struct WindowEncoder<'b> {
     /// Whatever the chain says, the next frame begins anew.
     breaks: bool,
     rate: Option<Rate>,
+    /// How much of the window's order is told, where it is to be.
+    order: Option<arrival::Progress>,
 }
 
 impl<'b> WindowEncoder<'b> {
@@ -259,6 +281,7 @@ impl<'b> WindowEncoder<'b> {
             chain: Chain::START,
             breaks: false,
             rate: rate(&config),
+            order: None,
         })
     }
 
@@ -371,7 +394,8 @@ impl<'b> WindowEncoder<'b> {
             end = end.min(most);
         }
         let payload = &mut out[HEADER_BYTES_MAX..end];
-        let payload_bytes = match header.mode {
+        header.order = None;
+        let mut payload_bytes = match header.mode {
             Mode::Transform => {
                 let mut writer = BitWriter::new(payload);
                 let scale = task.scale;
@@ -402,13 +426,24 @@ impl<'b> WindowEncoder<'b> {
                 self.breaks = true;
                 0
             }
+            // What there is left to tell is the order.
+            Mode::Hybrid(_) if HAS_ORDER && task.left == 0 && header.part > 0 => {
+                header.events = 0;
+                header.last = true;
+                0
+            }
             Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, &mut task, payload, trace),
         };
+        if HAS_ORDER && task.header.last && self.order.is_some() && !is_spent {
+            let room = payload.get_mut(payload_bytes..).unwrap_or_default();
+            payload_bytes += self.encode_order(&mut task.header, payload_bytes, room);
+        }
         let header = &mut task.header;
         trace.enter(Stage::Frame);
         let range = seal(header, payload_bytes, out)?;
         if let Some(rate) = &mut self.rate {
-            rate.spend(range.len(), header.events);
+            let order_bytes = header.order.map_or(0, |order| order.bytes as usize);
+            rate.spend(range.len(), order_bytes, header.events);
         }
         self.sequence = self.sequence.wrapping_add(1);
         let encoded = Encoded {
@@ -424,6 +459,7 @@ impl<'b> WindowEncoder<'b> {
 
     fn begin(&mut self, closed: Closed, window: &mut Window<'_>) -> Task {
         let WindowConfig { sensor, .. } = window.config();
+        let used = window.events();
         let filtered = self.config.filter.apply(self.scratch.hot, window);
         window.count_filtered(filtered);
         let density = Density {
@@ -456,6 +492,13 @@ impl<'b> WindowEncoder<'b> {
             }),
             (mode, _) => mode,
         };
+        self.order = match mode {
+            Mode::Hybrid(hybrid) if HAS_ORDER && self.config.keep_order && window.events() > 0 => {
+                let cells = Cells::new(hybrid.fidelity, closed.duration_us);
+                arrival::note(self.scratch.order, window, used, cells)
+            }
+            _ => None,
+        };
         Task {
             header: Header {
                 truncated: closed.truncated,
@@ -466,6 +509,7 @@ impl<'b> WindowEncoder<'b> {
                     || self.chain.next(window.events(), self.config.key_windows),
                 has_previous: false,
                 scans,
+                order: None,
                 sequence: 0,
                 part: 0,
                 sensor,
@@ -534,6 +578,43 @@ impl<'b> WindowEncoder<'b> {
         task.left -= taken.events;
         self.breaks = taken.overran;
         taken.payload_bytes
+    }
+
+    /// Tells the window's order, or as much of it as there is room for, behind a payload of so many bytes;
+    /// returns the bytes it took.
+    #[inline(never)]
+    fn encode_order(
+        &mut self,
+        header: &mut Header,
+        payload_bytes: usize,
+        room: &mut [u8],
+    ) -> usize {
+        let Some(progress) = &mut self.order else {
+            return 0;
+        };
+        let room = match &self.rate {
+            Some(rate) => {
+                let most = rate.order_room(payload_bytes).min(room.len());
+                room.get_mut(..most).unwrap_or_default()
+            }
+            None => room,
+        };
+        let told = arrival::tell(self.scratch.order, progress, room);
+        let is_complete = progress.is_complete();
+        if !is_complete && self.rate.is_some() {
+            // Not worth a frame of its own.
+            self.order = None;
+            return 0;
+        }
+        header.last = is_complete;
+        if told.events == 0 && !is_complete {
+            return 0;
+        }
+        header.order = Some(OrderSection {
+            bytes: told.bytes as u32,
+            events: if is_complete { 0 } else { told.events },
+        });
+        told.bytes
     }
 
     /// Encodes pixels up to the last, or up to the first that finds no room; returns whether that
@@ -608,6 +689,7 @@ impl<'b> WindowEncoder<'b> {
 ///     readout: None,
 ///     filter: Filter::NONE,
 ///     bytes_per_second: None,
+///     keep_order: false,
 /// };
 /// let mut encoder = storage.encoder(config).unwrap();
 /// let mut out = [0; 2048];
@@ -648,9 +730,13 @@ impl<'b> Encoder<'b> {
         buffers: WindowBuffers<'b>,
         scratch: Scratch<'b>,
     ) -> Result<Self, SetupError> {
+        let slots = buffers.slots.len();
         let Some(window) = Window::new(config.window, buffers) else {
             return Err(SetupError::Window);
         };
+        if config.keep_order && scratch.order.len() < arrival::words(slots) {
+            return Err(SetupError::Config(ConfigError::Order));
+        }
         match WindowEncoder::new(config, scratch) {
             Ok(encoder) => Ok(Self::new(window, encoder)),
             Err(error) => Err(SetupError::Config(error)),

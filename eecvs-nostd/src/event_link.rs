@@ -235,6 +235,7 @@ impl Setup {
                 isolated: self.isolated == 1,
             },
             bytes_per_second: NonZeroU32::new(self.bytes_per_second),
+            keep_order: false,
         })
     }
 }

@@ -31,7 +31,7 @@ pub const CRC_BYTES: usize = 4;
 /// Sync, version and header length.
 const PREFIX_BYTES: usize = 4;
 /// Every field of the header at its longest.
-const FIELDS_BYTES_MAX: usize = 99;
+const FIELDS_BYTES_MAX: usize = 106;
 const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
 
 /// What a payload holds.
@@ -42,6 +42,17 @@ pub enum Mode {
     Transform,
     /// The events.
     Hybrid(Hybrid),
+}
+
+/// The part of a payload that tells the order in which events of equal time came: its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct OrderSection {
+    /// Its bytes.
+    pub bytes: u32,
+    /// Events whose place in the window's order it tells; 0 in the last frame of the window, which tells
+    /// those of all that are left.
+    pub events: u32,
 }
 
 /// Meaning of a frame's header.
@@ -63,6 +74,8 @@ pub struct Header {
     pub has_previous: bool,
     /// The times lie on these scans; of lossless frames of the dense coder alone.
     pub scans: Option<Scans>,
+    /// Where events are kept in their order and all have been sent, up to this frame: what it tells of it.
+    pub order: Option<OrderSection>,
     /// Sequence number of the frame; wraps.
     pub sequence: u32,
     /// Number of the frame within its window, from 0.
@@ -155,6 +168,7 @@ const REGIME_SHIFT: u32 = 2;
 const PART: u8 = 1 << 4;
 const COUNTS: u8 = 1 << 5;
 const SHAPE: u8 = 1 << 6;
+const ORDER: u8 = 1 << 7;
 
 /// Codes of the mode.
 const TRANSFORM: u8 = 0;
@@ -336,7 +350,8 @@ impl Header {
                 | ((self.regime as u8) << REGIME_SHIFT)
                 | (u8::from(is_part) * PART)
                 | (u8::from(has_counts) * COUNTS)
-                | (u8::from(has_shape) * SHAPE),
+                | (u8::from(has_shape) * SHAPE)
+                | (u8::from(self.order.is_some()) * ORDER),
             mode,
             payload_bytes,
             sequence: self.sequence,
@@ -379,6 +394,12 @@ impl Header {
             };
             put(&|out| Ok(postcard::to_slice(&scan, out)?.len()))?;
         }
+        if let Some(OrderSection { bytes, events }) = self.order {
+            put(&|out| Ok(postcard::to_slice(&bytes, out)?.len()))?;
+            if !self.last {
+                put(&|out| Ok(postcard::to_slice(&events, out)?.len()))?;
+            }
+        }
         Ok(len)
     }
 
@@ -393,9 +414,6 @@ impl Header {
         let rest = &mut &*fields;
         let wire: Wire = take(rest)?;
         let has = |flag: u8| wire.flags & flag != 0;
-        if wire.flags >> 7 != 0 {
-            return None;
-        }
         let regime = Regime::from_code(wire.flags >> REGIME_SHIFT & 3)?;
         let coder = wire.mode & CODER;
         let is_transform = coder == TRANSFORM;
@@ -463,6 +481,20 @@ impl Header {
                 )?)
             }
         };
+        let order = if has(ORDER) {
+            let bytes = take(rest)?;
+            let events = if has(LAST) { 0 } else { take(rest)? };
+            // A frame in between tells of some.
+            if is_transform
+                || bytes > wire.payload_bytes
+                || (!has(LAST) && !(1..wire.window_events).contains(&events))
+            {
+                return None;
+            }
+            Some(OrderSection { bytes, events })
+        } else {
+            None
+        };
         if !rest.is_empty() {
             return None;
         }
@@ -475,6 +507,7 @@ impl Header {
             is_key: coder != DENSE || chained & KEY != 0,
             has_previous: chained & PREVIOUS != 0,
             scans: scan,
+            order,
             sequence: wire.sequence,
             part: part.part,
             sensor,
@@ -555,7 +588,7 @@ pub fn seal(
 pub struct Frame<'i> {
     /// Its header.
     pub header: Header,
-    /// Its packed pixels.
+    /// Its packed pixels, or events and order.
     pub payload: &'i [u8],
     /// Its length, sync to CRC-32.
     pub bytes: usize,
@@ -605,6 +638,16 @@ impl<'i> Frame<'i> {
             payload: &frame[header_bytes..crc_at],
             bytes: end,
         })
+    }
+
+    /// What its payload has of the events, and of their order.
+    #[must_use]
+    pub fn sections(&self) -> (&'i [u8], &'i [u8]) {
+        let order = self.header.order.map_or(0, |order| order.bytes as usize);
+        let events = self.payload.len().saturating_sub(order);
+        self.payload
+            .split_at_checked(events)
+            .unwrap_or((self.payload, &[]))
     }
 
     /// Its pixels, in raster order.
@@ -682,6 +725,10 @@ mod tests {
             is_key: true,
             has_previous: true,
             scans: None,
+            order: Some(OrderSection {
+                bytes: u32::MAX,
+                events: u32::MAX,
+            }),
             sequence: u32::MAX,
             part: u32::MAX,
             sensor: Sensor {

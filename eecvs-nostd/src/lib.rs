@@ -8,13 +8,14 @@
 //! One stage, one file. Every buffer is lent by the caller or sits in [`Storage`]; nothing
 //! allocates, nothing uses floating point on the way from an event to a frame, and the same code
 //! gives the same bits on a microcontroller and on a host. Feature `defmt` derives `defmt::Format`
-//! on the public types; `float` adds two kernels in f32 to compare with ([`kernel`]); `portable` leaves
-//! assembly out, to compare with.
+//! on the public types; `float` adds two kernels in f32 to compare with ([`kernel`]); `order`, a default,
+//! is [`Config::keep_order`]; `portable` leaves assembly out, to compare with.
 #![no_std]
 
 #[cfg(test)]
 extern crate std;
 
+pub mod arrival;
 pub mod atom;
 pub mod bits;
 mod checksum;
@@ -80,7 +81,7 @@ pub use encoder::{
 };
 pub use event::{Event, Polarity, Sensor};
 pub use filter::{Filter, Region};
-pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom};
+pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom, OrderSection};
 pub use kernel::Kernel;
 pub use link::{Order, Scan, Sequence, scan};
 pub use packing::{Packing, Shape};

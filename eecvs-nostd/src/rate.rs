@@ -66,7 +66,8 @@ pub(crate) struct Rate {
     /// Estimate of the window at hand, in bits, before the ratio; and its events.
     estimate: u64,
     events: u32,
-    /// Bytes and events of it so far.
+    /// Bytes that it may take, and bytes and events of it so far, without what tells their order.
+    planned: u64,
     spent: u64,
     coded: u32,
 }
@@ -108,6 +109,7 @@ impl Rate {
             cell_bits: 0,
             estimate: 0,
             events: 0,
+            planned: 0,
             spent: 0,
             coded: 0,
         }
@@ -118,10 +120,17 @@ impl Rate {
         (self.bucket / PARTS).max(0) as usize
     }
 
-    /// Takes a frame from the bucket.
-    pub(crate) fn spend(&mut self, bytes: usize, events: u32) {
+    /// Bytes that the order may take beside a payload of so many: what the window was meant to take, no
+    /// more, so that it does not cost the times of those after it.
+    pub(crate) fn order_room(&self, payload_bytes: usize) -> usize {
+        let taken = self.spent + payload_bytes as u64;
+        self.planned.saturating_sub(taken).min(self.room() as u64) as usize
+    }
+
+    /// Takes a frame from the bucket, of which so many bytes tell the order.
+    pub(crate) fn spend(&mut self, bytes: usize, order_bytes: usize, events: u32) {
         self.bucket -= bytes as i64 * PARTS;
-        self.spent += bytes as u64;
+        self.spent += bytes.saturating_sub(order_bytes) as u64;
         self.coded += events;
     }
 
@@ -192,6 +201,7 @@ impl Rate {
         (self.spent, self.coded) = (0, 0);
         let room =
             ((self.room() as u64 * self.part_q8) >> 8).saturating_sub(u64::from(FRAME_BYTES)) * 8;
+        self.planned = room / 8;
         let pixels = window.config().sensor.pixels();
         let mut active = active(window);
         let mut fidelity = asked;
@@ -332,7 +342,7 @@ mod tests {
                 end_us += u64::from(since_us >> (8 * shift));
                 rate.fill(end_us);
                 let bytes = (rate.room() as f64 * share) as usize;
-                rate.spend(bytes.min(rate.room()), 1);
+                rate.spend(bytes.min(rate.room()), 0, 1);
                 spent.push((end_us, bytes.min(rate.room() + bytes) as u64));
             }
             for (i, (start_us, _)) in spent.iter().enumerate() {

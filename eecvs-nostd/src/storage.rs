@@ -71,6 +71,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             magnitudes: &mut self.magnitudes,
             dense,
             hot: &[],
+            order: &mut [],
         };
         Encoder::set_up(config, buffers, scratch)
     }
@@ -118,6 +119,7 @@ mod tests {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     };
 
     /// Anything but zeros would move the buffers from .bss to .data, into flash.
@@ -155,6 +157,7 @@ mod tests {
             magnitudes: &mut magnitudes,
             dense: None,
             hot: &[],
+            order: &mut [],
         };
         match (
             Window::new(CONFIG.window, buffers),

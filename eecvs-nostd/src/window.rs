@@ -675,7 +675,8 @@ impl<'b> Window<'b> {
         (occupied, crowded)
     }
 
-    fn head_of(&self, segment: u32) -> u32 {
+    /// A used segment's list: the slot of its newest event.
+    pub(crate) fn head_of(&self, segment: u32) -> u32 {
         let head = self.heads.get(segment as usize).copied();
         head.map_or(NO_SLOT, index)
     }

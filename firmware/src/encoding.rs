@@ -43,6 +43,7 @@ const IDLE: Config = Config {
     readout: None,
     filter: Filter::NONE,
     bytes_per_second: None,
+    keep_order: false,
 };
 
 /// Ticks, summed up beyond 32 bits.
@@ -91,6 +92,7 @@ impl Encoding {
             magnitudes: MAGNITUDES.try_take()?,
             dense: None,
             hot: &[],
+            order: &mut [],
         };
         Some(Self {
             sender,

@@ -9,6 +9,7 @@ use eecvs_nostd::{
     Readout, Region, Sensor, Thresholds, Transform, WindowConfig,
 };
 use host_harness::encode::HostStorage;
+use host_harness::reconstruct::arrival::Arrivals;
 use host_harness::reconstruct::hybrid::HybridDecoder;
 use libfuzzer_sys::fuzz_target;
 
@@ -73,12 +74,14 @@ fuzz_target!(|data: &[u8]| {
         },
         bytes_per_second: NonZeroU32::new(budget)
             .filter(|_| *control & 2 == 2 && mode != Mode::Transform),
+        keep_order: *key & 2 == 2 && mode != Mode::Transform,
     };
     let mut storage = HostStorage::new(sensor, 1 + usize::from(*capacity));
     let mut encoder = storage.encoder(config).expect("a valid configuration");
     let mut out = vec![0; eecvs_nostd::OUTPUT_BYTES_MIN];
     let mut accounted = 0;
     let mut decoder = HybridDecoder::default();
+    let (mut arrivals, mut window) = (Arrivals::default(), vec![]);
     let mut frames = |encoder: &mut eecvs_nostd::Encoder<'_>| {
         while let Some(encoded) = encoder.next_frame(&mut out).expect("room for a frame") {
             let frame = Frame::parse(&out[encoded.range]).expect("a whole frame");
@@ -90,7 +93,15 @@ fuzz_target!(|data: &[u8]| {
                     .sum::<u32>(),
                 Mode::Hybrid(hybrid) => {
                     let found = decoder.frame(&frame, hybrid);
-                    found.expect("the encoder's own payload").len() as u32
+                    let found = found.expect("the encoder's own payload");
+                    let events = found.len() as u32;
+                    if header.part == 0 {
+                        window.clear();
+                    }
+                    window.extend(found);
+                    let ordered = arrivals.frame(&frame, &mut window);
+                    ordered.expect("the encoder's own order");
+                    events
                 }
             };
             assert_eq!(events, header.events);

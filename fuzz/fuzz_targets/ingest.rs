@@ -110,6 +110,7 @@ fuzz_target!(|data: &[u8]| {
         magnitudes: &mut magnitudes,
         dense: None,
         hot: &[],
+        order: &mut [],
     };
     let config = Config {
         window: CONFIG,
@@ -123,6 +124,7 @@ fuzz_target!(|data: &[u8]| {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     };
     let mut machine = Machine {
         link: Link::new(),

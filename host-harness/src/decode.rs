@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::formats::EventWriter;
 use crate::frame_file::{FrameReader, LinkReport};
+use crate::reconstruct::arrival::Arrivals;
 use crate::reconstruct::events::{EventDecoder, Finder};
 use crate::reconstruct::hybrid::{HybridDecoder, Refused};
 use crate::reconstruct::recover::Confidences;
@@ -22,6 +23,7 @@ pub struct WindowReader<R> {
     pending_events: u32,
     counts: FrameCounts,
     hybrid: HybridDecoder,
+    arrivals: Arrivals,
     /// Time spent on payloads.
     busy: Duration,
 }
@@ -41,6 +43,10 @@ pub struct FrameCounts {
     pub events_exact: u64,
     /// In frames, at times within a tolerance or a bin, or in coefficients.
     pub events_approximate: u64,
+    /// Windows whose events of equal time are in the order in which they came.
+    pub windows_in_order: u64,
+    /// Windows whose order was sent but cannot be told, as a frame of theirs is missing.
+    pub windows_order_lost: u64,
 }
 
 impl<R: Read> WindowReader<R> {
@@ -52,6 +58,7 @@ impl<R: Read> WindowReader<R> {
             pending_events: 0,
             counts: FrameCounts::default(),
             hybrid: HybridDecoder::default(),
+            arrivals: Arrivals::default(),
             busy: Duration::ZERO,
         }
     }
@@ -63,7 +70,12 @@ impl<R: Read> WindowReader<R> {
 
     /// The frames' own counts so far.
     pub const fn counts(&self) -> FrameCounts {
-        self.counts
+        let order = self.arrivals.counts();
+        FrameCounts {
+            windows_in_order: order.kept,
+            windows_order_lost: order.lost,
+            ..self.counts
+        }
     }
 
     /// The next window that has events, or `None` at the end.
@@ -73,6 +85,7 @@ impl<R: Read> WindowReader<R> {
     pub fn next_window(&mut self) -> Result<Option<DecodedWindow>> {
         loop {
             let Some(located) = self.frames.next_frame().context("reading frames")? else {
+                self.arrivals.end();
                 return Ok(self.pending.take());
             };
             let header = located.frame.header;
@@ -87,6 +100,29 @@ impl<R: Read> WindowReader<R> {
                     events.map(|events| (vec![], events))
                 }
             };
+            // Frames without end that call themselves parts of one window do not grow it.
+            let mut window = self.pending.as_mut().filter(|window| {
+                window.has_part(&header)
+                    && header.events <= header.window_events - self.pending_events
+            });
+            // With the events of the parts before in front of them.
+            let decoded = decoded.and_then(|(pixels, mut events)| {
+                let mut earlier = 0;
+                if let Some(window) = &mut window {
+                    earlier = window.events.len();
+                    window.events.append(&mut events);
+                    std::mem::swap(&mut window.events, &mut events);
+                }
+                let ordered = self.arrivals.frame(&located.frame, &mut events);
+                if let Some(window) = window
+                    && ordered.is_err()
+                {
+                    events.truncate(earlier);
+                    window.events = events;
+                    return Err(Refused::Malformed);
+                }
+                ordered.map(|()| (pixels, events))
+            });
             self.busy += started.elapsed();
             let (pixels, events) = match decoded {
                 Ok(decoded) => decoded,
@@ -105,14 +141,13 @@ impl<R: Read> WindowReader<R> {
                 self.counts.events_approximate += u64::from(header.events);
             }
             match &mut self.pending {
-                // Frames without end that call themselves parts of one window do not grow it.
                 Some(window)
                     if window.has_part(&header)
                         && header.events <= header.window_events - self.pending_events =>
                 {
                     self.pending_events += header.events;
                     window.pixels.extend(pixels);
-                    window.events.extend(events);
+                    window.events = events;
                 }
                 _ => {
                     self.pending_events = header.events;

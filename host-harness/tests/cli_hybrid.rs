@@ -196,3 +196,31 @@ fn filters_and_budgets_are_accounted_for() {
         assert!(count(&summary, "bytes_out") as f64 <= budget as f64 * (seconds + 1.0));
     }
 }
+
+/// The file is the recording, event by event; what keeps it so is told, and what cannot is refused.
+#[test]
+fn a_recording_comes_back_in_its_order() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    let (_, events) = folder.events("scene.raw");
+    for coder in ["fast", "dense"] {
+        let encode = format!("encode scene.raw -o a.eecvs --coder {coder} --keep-order --json");
+        let summary = folder.eecvs(&encode).ok().object();
+        assert_eq!(
+            count(&summary, "windows_in_order"),
+            count(&summary, "windows")
+        );
+        let decoded = folder.eecvs("decode a.eecvs -o b.csv --json").ok().object();
+        assert_eq!(
+            count(&decoded, "windows_in_order"),
+            count(&summary, "windows")
+        );
+        assert_eq!(count(&decoded, "windows_order_lost"), 0);
+        assert!(folder.events("b.csv").1 == events, "{coder}");
+        let rows = folder.eecvs("inspect a.eecvs --json").ok().array();
+        let bytes: u64 = rows.iter().map(|row| count(row, "order_bytes")).sum();
+        assert_eq!(bytes, count(&summary, "bytes_order"));
+    }
+    let encode = "encode scene.raw -o a.eecvs --mode transform --keep-order";
+    folder.eecvs(encode).fails(&["--keep-order"]);
+}

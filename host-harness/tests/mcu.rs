@@ -52,6 +52,7 @@ fn config() -> Config {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     }
 }
 

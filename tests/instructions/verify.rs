@@ -69,6 +69,7 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     })?;
     let mut output = Output::default();
     let mut decoder = Evt2Decoder::new(0);

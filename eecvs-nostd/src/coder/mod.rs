@@ -13,6 +13,7 @@ mod dense_times;
 pub mod fast;
 pub mod model;
 mod neighbourhood;
+pub mod order;
 pub mod range;
 pub mod scan;
 pub mod symbols;

@@ -388,6 +388,7 @@ fn config(golden: &Golden) -> Option<Config> {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     })
 }
 

@@ -313,6 +313,7 @@ fn main() -> ! {
                 readout: None,
                 filter: Filter::NONE,
                 bytes_per_second: None,
+                keep_order: false,
             };
             let mut probe = Probe::new();
             let dense = DenseMemory {

@@ -70,6 +70,7 @@ pub const fn config(transform: Transform, m: u8) -> Config {
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     }
 }
 

@@ -171,6 +171,7 @@ fn run(
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     };
     let limits = Limits {
         window_events: WINDOW_EVENTS,

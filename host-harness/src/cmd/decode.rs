@@ -142,6 +142,14 @@ fn table(summary: &DecodeSummary) -> String {
     rows([
         ("frames", summary.link.frames.to_string()),
         ("windows", summary.windows.to_string()),
+        (
+            "  in the order of input",
+            summary.counts.windows_in_order.to_string(),
+        ),
+        (
+            "  whose order is lost",
+            summary.counts.windows_order_lost.to_string(),
+        ),
         ("events", summary.events.to_string()),
         (
             "  late at the encoder",

@@ -207,6 +207,7 @@ impl Run {
             readout: None,
             filter: Filter::NONE,
             bytes_per_second: None,
+            keep_order: false,
         };
         let mut reader = formats::open(&self.scene, None)?;
         let progress = Progress::new("events");

@@ -42,6 +42,8 @@ struct Row {
     bins: Option<u16>,
     /// Where times are told by scans.
     scan_period_us: Option<f64>,
+    /// Where the order of events of equal time is told: bytes of it.
+    order_bytes: Option<u32>,
     /// Decodes by itself.
     key: bool,
     density_per_px_s: f64,
@@ -143,6 +145,7 @@ impl Row {
             scan_period_us: header
                 .scans
                 .map(|scans| f64::from(scans.readout().period_q16()) / 65_536.0),
+            order_bytes: header.order.map(|order| order.bytes),
             key: header.is_key,
             density_per_px_s: density.per_pixel_s(),
             regime: header.regime.name(),
@@ -163,7 +166,7 @@ impl Row {
     fn print_titles(out: &mut impl Write) -> std::io::Result<()> {
         writeln!(
             out,
-            "{:>6} {:>6} {:>17} {:>9} {:>8} {:>8} {:>8} {:4} {:>3} {:>4} {:>9} {:>8} {:>5} {:>5} {:>5}",
+            "{:>6} {:>6} {:>17} {:>9} {:>8} {:>8} {:>8} {:4} {:>3} {:>4} {:>9} {:>8} {:>5} {:>5} {:>5} {:>6}",
             "index",
             "seq",
             "t0_us",
@@ -178,7 +181,8 @@ impl Row {
             "bytes",
             "late",
             "filt",
-            "drop"
+            "drop",
+            "order"
         )
     }
 
@@ -199,13 +203,16 @@ impl Row {
             late,
             filtered,
             dropped,
+            order_bytes,
             ..
         } = self;
+        // In bytes; none where none is told.
+        let order = order_bytes.map_or(String::new(), |bytes| bytes.to_string());
         let coder = coder.unwrap_or("");
         writeln!(
             out,
             "{index:>6} {seq:>6} {t0_us:>17} {duration_us:>9} {events:>8} {coder:>8} {regime:>8} \
-             {transform:4} {m:>3} {grid:>4} {step:>9} {bytes:>8} {late:>5} {filtered:>5} {dropped:>5}"
+             {transform:4} {m:>3} {grid:>4} {step:>9} {bytes:>8} {late:>5} {filtered:>5} {dropped:>5} {order:>6}"
         )
     }
 }

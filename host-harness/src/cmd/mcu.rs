@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::thread;
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use eecvs_nostd::{Event, Sensor};
 use serde::Serialize;
@@ -133,9 +133,14 @@ impl Mcu {
     pub fn run(self) -> Result<()> {
         let open = || self.open();
         let sensor = open()?.sensor();
+        let config = self.codec.config(sensor)?;
+        ensure!(
+            !config.keep_order,
+            "--keep-order is for eecvs encode: the image has no memory for it"
+        );
         let job = Job {
             open: &open,
-            config: self.codec.config(sensor)?,
+            config,
             drop_when_full: self.drop_when_full,
         };
         let image = match &self.image {

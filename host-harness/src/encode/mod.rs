@@ -56,6 +56,10 @@ pub struct EncodeSummary {
     pub windows_dwt: u64,
     /// Windows closed early because the buffer was full.
     pub windows_truncated: u64,
+    /// Windows whose events of equal time are decoded in their order.
+    pub windows_in_order: u64,
+    /// Bytes that tell it.
+    pub bytes_order: u64,
     /// Quantised levels cut to 32 bits.
     pub levels_saturated: u64,
     /// Frames written.
@@ -89,6 +93,10 @@ impl EncodeSummary {
             self.events_approximate += u64::from(header.events);
         }
         self.levels_saturated += u64::from(header.saturated);
+        if let Some(order) = header.order {
+            self.windows_in_order += u64::from(header.last);
+            self.bytes_order += u64::from(order.bytes);
+        }
         if header.part == 0 && header.window_events > 0 {
             self.windows += 1;
             self.windows_truncated += u64::from(header.truncated);
@@ -98,6 +106,12 @@ impl EncodeSummary {
                 Transform::Dwt => self.windows_dwt += 1,
             }
         }
+    }
+
+    /// 8 `bytes_order` / `events_in`; 0 without events.
+    #[must_use]
+    pub fn order_bits_per_event(&self) -> f64 {
+        self.bytes_order as f64 * 8.0 / self.events_in.max(1) as f64
     }
 
     fn finish(&mut self, encoding: Duration, wall: Duration) {

@@ -1,6 +1,7 @@
 //! Memory of an encoder on the host.
 
 use anyhow::{Context, Result, bail};
+use eecvs_nostd::arrival;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
 use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
@@ -21,6 +22,7 @@ pub struct HostStorage {
     magnitudes: Vec<u32>,
     model: Box<Model>,
     words: Vec<u32>,
+    order: Vec<u32>,
 }
 
 /// Buffers of a window.
@@ -41,6 +43,11 @@ impl WindowMemory {
             heads: vec![0; segments],
             bitmap: vec![0; bitmap_words(segments)],
         }
+    }
+
+    /// Events that it holds.
+    fn slots(&self) -> usize {
+        self.slots.len() / (size_of::<Slot>() / size_of::<u32>())
     }
 
     fn window(&mut self, config: WindowConfig) -> Option<Window<'_>> {
@@ -94,6 +101,7 @@ impl HostStorage {
             magnitudes: vec![0; numbers],
             model: Box::new(Model::UNSET),
             words: vec![0; words(sensor, true)],
+            order: Vec::new(),
         }
     }
 
@@ -117,6 +125,10 @@ impl HostStorage {
         config: Config,
         hot: &'s [u32],
     ) -> Result<(Vec<Window<'s>>, WindowEncoder<'s>)> {
+        if config.keep_order {
+            let slots = self.windows.first().map_or(0, WindowMemory::slots);
+            self.order = vec![0; arrival::words(slots)];
+        }
         let windows: Option<Vec<_>> = self
             .windows
             .iter_mut()
@@ -135,12 +147,13 @@ impl HostStorage {
                 words: &mut self.words,
             }),
             hot,
+            order: &mut self.order,
         };
         match WindowEncoder::new(config, scratch) {
             Ok(encoder) => Ok((windows, encoder)),
             Err(error) => bail!(
-                "M must be 1 to 64, the grid 1 to 1024, bins 1 or more, and a budget is for mode hybrid \
-                 and of some 146 bytes a window at the least ({error:?} is not)"
+                "M must be 1 to 64, the grid 1 to 1024, bins 1 or more, a budget is for mode hybrid \
+                 and of some 146 bytes a window at the least, and so is the order of events ({error:?} is not)"
             ),
         }
     }

@@ -266,6 +266,7 @@ mod tests {
             readout: None,
             filter: Filter::NONE,
             bytes_per_second: None,
+            keep_order: false,
         };
         let mut bytes = Vec::new();
         let mut scene = emulate(SCENE).unwrap();

@@ -58,11 +58,29 @@ impl HybridDecoder {
     /// [`Refused`]; nothing of the frame is returned then.
     pub fn frame(&mut self, frame: &Frame<'_>, hybrid: Hybrid) -> Result<Vec<Event>, Refused> {
         let header = &frame.header;
+        let (payload, _) = frame.sections();
         let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
         match hybrid.coder {
-            Coder::Fast => fast(header, frame.payload, times),
-            Coder::Dense => self.dense(header, frame.payload, times),
+            Coder::Fast => fast(header, payload, times),
+            // What tells the order alone is nothing to the coder.
+            Coder::Dense if header.order.is_some() && header.events == 0 => {
+                self.pass(header, payload)
+            }
+            Coder::Dense => self.dense(header, payload, times),
         }
+    }
+
+    /// A frame without events that the next one goes on from.
+    fn pass(&mut self, header: &Header, payload: &[u8]) -> Result<Vec<Event>, Refused> {
+        let chain = self.chain.take();
+        let chain = chain.filter(|chain| chain.next == header.sequence);
+        let chain = chain.ok_or(Refused::Dependent)?;
+        if !payload.is_empty() {
+            return Err(Refused::Malformed);
+        }
+        let next = header.sequence.wrapping_add(1);
+        self.chain = Some(Chain { next, ..chain });
+        Ok(Vec::new())
     }
 
     fn dense(
@@ -226,6 +244,7 @@ impl DecodedWindow {
             readout: None,
             filter: Filter::NONE,
             bytes_per_second: None,
+            keep_order: false,
         };
         let mut storage = HostStorage::new(header.sensor, self.events.len().max(1));
         let mut encoder = storage.encoder(config)?;

@@ -1,5 +1,6 @@
 //! Descriptors back to coefficients, volumes and events.
 
+pub mod arrival;
 pub mod bins;
 pub mod crowd;
 pub mod ensemble;
@@ -73,7 +74,8 @@ pub struct DecodedWindow {
     pub header: Header,
     /// Pixels of all its frames that came, of each frame in raster order; none in mode `hybrid`.
     pub pixels: Vec<Pixel>,
-    /// In mode `hybrid` the events instead, of each frame in raster order.
+    /// In mode `hybrid` the events instead, of each frame in raster order, or all in the order of time and
+    /// arrival where the frames tell it.
     pub events: Vec<Event>,
 }
 

@@ -12,6 +12,7 @@ pub fn header(duration_us: u32) -> Header {
         is_key: true,
         has_previous: false,
         scans: None,
+        order: None,
         sequence: 0,
         part: 0,
         sensor: Sensor {

@@ -63,6 +63,7 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
+        keep_order: false,
     };
     let config = readout::look_at(&source.events, config);
     let (mut bytes, mut reader) = (Vec::new(), source.reader());

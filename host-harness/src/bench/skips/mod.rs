@@ -197,6 +197,7 @@ impl<'s> Point<'s> {
             readout: None,
             filter: Filter::NONE,
             bytes_per_second: None,
+            keep_order: false,
         }
     }
 
