@@ -33,7 +33,7 @@ fn frames(
         totals: &mut [WideSum::ZERO; 2 * GRID_MAX],
         magnitudes: &mut [0; 2 * GRID_MAX],
         dense: None,
-        hot: &[],
+        hot: &mut [],
     };
     let mut encoder = WindowEncoder::new(config, scratch).expect("an encoder");
     let mut out = vec![0; frame_bytes];

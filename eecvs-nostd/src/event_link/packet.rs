@@ -18,14 +18,16 @@ pub(super) const CRC_BYTES: usize = 2;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum Kind {
-    /// A [`Setup`]; the encoder starts anew.
+    /// A [`Setup`](super::Setup); the encoder starts anew.
     Setup = 1,
     /// EVT 2.0 words, little-endian.
     Words = 2,
     /// The stream has ended: the open window is to be closed and sent.
     Flush = 3,
-    /// A [`Status`], from the encoder: its answer to a setup and to a flush.
+    /// A [`Status`](super::Status), from the encoder: its answer to each of the others but words.
     Status = 4,
+    /// Pixels that are never sent, of the sensor of the setup before: [`HotNumbers`](super::HotNumbers).
+    Hot = 5,
 }
 
 impl Kind {
@@ -35,6 +37,7 @@ impl Kind {
             2 => Some(Self::Words),
             3 => Some(Self::Flush),
             4 => Some(Self::Status),
+            5 => Some(Self::Hot),
             _ => None,
         }
     }

@@ -189,7 +189,8 @@ mod tests {
                 Just(Kind::Setup),
                 Just(Kind::Words),
                 Just(Kind::Flush),
-                Just(Kind::Status)
+                Just(Kind::Status),
+                Just(Kind::Hot)
             ],
             any::<u32>(),
             proptest::collection::vec(

@@ -4,7 +4,8 @@ use core::num::NonZeroU32;
 
 use serde::{Deserialize, Serialize};
 
-use super::{TooLong, parse_body, write_body};
+use super::{Refusal, TooLong, parse_body, write_body};
+use crate::coder::{Axis, Readout};
 use crate::encoder::Config;
 use crate::event::Sensor;
 use crate::filter::{Filter, Region};
@@ -48,6 +49,12 @@ pub struct Setup {
     pub isolated: u8,
     /// Bytes that the frames of any second take at the most; 0 for any.
     pub bytes_per_second: u32,
+    /// Period of the readout in 2^-16 us; 0 for a sensor that does not scan.
+    pub scan_period_q16: u32,
+    /// From line to line, in 2^-16 us.
+    pub scan_slope_q16: i32,
+    /// What is read at once: 0 columns, 1 rows.
+    pub scan_axis: u8,
     /// Time that the words' 0 stands for, in microseconds.
     pub time_base_us: u64,
     /// What to do with events while no window is free: 0 wait, so that the link's flow control
@@ -86,6 +93,12 @@ impl Setup {
             }),
             isolated: config.filter.isolated.into(),
             bytes_per_second: config.bytes_per_second.map_or(0, NonZeroU32::get),
+            scan_period_q16: config.readout.map_or(0, Readout::period_q16),
+            scan_slope_q16: config.readout.map_or(0, Readout::slope_q16),
+            scan_axis: match config.readout.map(Readout::axis) {
+                None | Some(Axis::Columns) => 0,
+                Some(Axis::Rows) => 1,
+            },
             time_base_us,
             when_full: Self::WAIT,
         }
@@ -94,7 +107,7 @@ impl Setup {
     /// Writes it as a packet's body to the start of `out` and returns its length.
     ///
     /// # Errors
-    /// [`TooLong`]: `out` is too short; 96 bytes are enough.
+    /// [`TooLong`]: `out` is too short; [`super::FIELDS_BYTES_MAX`] are enough.
     pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
         write_body(self, out)
     }
@@ -105,12 +118,13 @@ impl Setup {
         parse_body(body)
     }
 
-    /// The configuration, or `None` where a field is out of its range; M and K are left to the
-    /// encoder's own check.
-    #[must_use]
-    pub fn config(&self) -> Option<Config> {
+    /// The configuration; M and K are left to the encoder's own check.
+    ///
+    /// # Errors
+    /// The first field that is out of its range.
+    pub fn config(&self) -> Result<Config, Refusal> {
         if self.when_full > Self::DROP || self.isolated > 1 {
-            return None;
+            return Err(Refusal::Flag);
         }
         let [x, y, width, height] = self.region;
         let region = Region {
@@ -119,22 +133,23 @@ impl Setup {
             width,
             height,
         };
-        Some(Config {
+        Ok(Config {
             window: WindowConfig {
-                sensor: Sensor::new(self.width, self.height)?,
+                sensor: Sensor::new(self.width, self.height).ok_or(Refusal::Sensor)?,
                 window_us: self.window_us,
             },
-            thresholds: Thresholds::new(self.tau_low_pico, self.tau_high_pico)?,
+            thresholds: Thresholds::new(self.tau_low_pico, self.tau_high_pico)
+                .ok_or(Refusal::Thresholds)?,
             transform: match self.transform {
                 Self::AUTO => None,
-                code => Some(Transform::from_code(code)?),
+                code => Some(Transform::from_code(code).ok_or(Refusal::Transform)?),
             },
             m: self.m,
             grid: (self.grid > 0).then_some(self.grid),
-            quantiser: Quantiser::new(self.step_log2)?,
-            mode: Mode::from_code(self.mode, self.fidelity)?,
+            quantiser: Quantiser::new(self.step_log2).ok_or(Refusal::Step)?,
+            mode: Mode::from_code(self.mode, self.fidelity).ok_or(Refusal::Mode)?,
             key_windows: self.key_windows,
-            readout: None,
+            readout: self.readout()?,
             filter: Filter {
                 region: (width > 0).then_some(region),
                 isolated: self.isolated == 1,
@@ -142,10 +157,25 @@ impl Setup {
             bytes_per_second: NonZeroU32::new(self.bytes_per_second),
         })
     }
+
+    fn readout(&self) -> Result<Option<Readout>, Refusal> {
+        let axis = match self.scan_axis {
+            0 => Axis::Columns,
+            1 => Axis::Rows,
+            _ => return Err(Refusal::Readout),
+        };
+        if self.scan_period_q16 == 0 {
+            return Ok(None);
+        }
+        Readout::new(axis, self.scan_period_q16, self.scan_slope_q16)
+            .map(Some)
+            .ok_or(Refusal::Readout)
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::FIELDS_BYTES_MAX;
     use super::*;
 
     #[test]
@@ -166,44 +196,72 @@ mod tests {
             region: [3, 4, 100, 2],
             isolated: 1,
             bytes_per_second: u32::MAX,
+            scan_period_q16: 250 << 16,
+            scan_slope_q16: -(125 << 16),
+            scan_axis: 1,
             time_base_us: u64::MAX,
             when_full: Setup::WAIT,
         };
-        let mut out = [0; 96];
+        let mut out = [0; FIELDS_BYTES_MAX];
         let len = setup.write(&mut out).unwrap();
         assert_eq!(Setup::parse(&out[..len]), Some(setup));
         assert_eq!(Setup::parse(&out[..=len]), None);
         assert_eq!(Setup::parse(&out[..len - 1]), None);
         assert_eq!(Setup::new(&setup.config().unwrap(), u64::MAX), setup);
-        for wrong in [
-            Setup { width: 0, ..setup },
-            Setup {
-                height: 2049,
-                ..setup
-            },
-            Setup {
-                tau_low_pico: 2,
-                tau_high_pico: 1,
-                ..setup
-            },
-            Setup {
-                transform: 3,
-                ..setup
-            },
-            Setup {
-                step_log2: 9,
-                ..setup
-            },
-            Setup {
-                when_full: 2,
-                ..setup
-            },
-            Setup {
-                isolated: 2,
-                ..setup
-            },
-        ] {
-            assert_eq!(wrong.config(), None, "{wrong:?}");
-        }
+        let still = Setup {
+            scan_period_q16: 0,
+            scan_slope_q16: 0,
+            scan_axis: 0,
+            ..setup
+        };
+        assert_eq!(Setup::new(&still.config().unwrap(), u64::MAX), still);
+        let is = |change: fn(&mut Setup), refusal| {
+            let mut wrong = setup;
+            change(&mut wrong);
+            assert_eq!(wrong.config(), Err(refusal), "{wrong:?}");
+        };
+        is(|s| s.width = 0, Refusal::Sensor);
+        is(|s| s.height = 2049, Refusal::Sensor);
+        is(
+            |s| (s.tau_low_pico, s.tau_high_pico) = (2, 1),
+            Refusal::Thresholds,
+        );
+        is(|s| s.transform = 3, Refusal::Transform);
+        is(|s| s.step_log2 = 9, Refusal::Step);
+        is(|s| s.mode = 15, Refusal::Mode);
+        is(|s| s.when_full = 2, Refusal::Flag);
+        is(|s| s.isolated = 2, Refusal::Flag);
+        is(|s| s.scan_axis = 2, Refusal::Readout);
+        is(|s| s.scan_period_q16 = 1, Refusal::Readout);
+        is(|s| s.scan_slope_q16 = i32::MIN, Refusal::Readout);
+    }
+
+    #[test]
+    fn the_longest_setup_fits() {
+        let longest = Setup {
+            width: u16::MAX,
+            height: u16::MAX,
+            window_us: u32::MAX,
+            tau_low_pico: u64::MAX,
+            tau_high_pico: u64::MAX,
+            transform: u8::MAX,
+            m: u8::MAX,
+            grid: u16::MAX,
+            step_log2: i8::MAX,
+            mode: u8::MAX,
+            fidelity: u32::MAX,
+            key_windows: u16::MAX,
+            region: [u16::MAX; 4],
+            isolated: u8::MAX,
+            bytes_per_second: u32::MAX,
+            scan_period_q16: u32::MAX,
+            scan_slope_q16: i32::MIN,
+            scan_axis: u8::MAX,
+            time_base_us: u64::MAX,
+            when_full: u8::MAX,
+        };
+        let mut out = [0; FIELDS_BYTES_MAX];
+        let len = longest.write(&mut out).unwrap();
+        assert_eq!(Setup::parse(&out[..len]), Some(longest));
     }
 }

@@ -3,17 +3,87 @@
 use serde::{Deserialize, Serialize};
 
 use super::{TooLong, parse_body, write_body};
+use crate::encoder::{ConfigError, HotError};
 
-/// What an encoder says of itself, after a setup and after a flush; postcard writes it.
+/// Why an encoder refuses a setup, or hot pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Refusal {
+    /// A side that is not 1 to 2048.
+    Sensor,
+    /// tau_low above tau_high.
+    Thresholds,
+    /// No such transform.
+    Transform,
+    /// The quantiser's step.
+    Step,
+    /// No such mode, or a fidelity that it has not.
+    Mode,
+    /// A period, slope or axis that no readout has.
+    Readout,
+    /// Neither 0 nor 1 where these are all there is.
+    Flag,
+    /// M is not 1 to 64.
+    M,
+    /// K is not 1 to 1024.
+    Grid,
+    /// No memory for so many coefficients.
+    Numbers,
+    /// No memory for the dense coder on this sensor.
+    Dense,
+    /// A volume of no bins.
+    Bins,
+    /// A budget that is too small, or for coefficients.
+    Rate,
+    /// No memory for the windows of this sensor, or windows of 0 us.
+    Windows,
+    /// A hot pixel that is not on the sensor.
+    HotOutside,
+    /// More hot pixels than there is memory for.
+    HotRoom,
+    /// Hot pixels before a setup.
+    HotUnset,
+}
+
+impl From<ConfigError> for Refusal {
+    fn from(error: ConfigError) -> Self {
+        match error {
+            ConfigError::M => Self::M,
+            ConfigError::Grid => Self::Grid,
+            ConfigError::Scratch => Self::Numbers,
+            ConfigError::Dense => Self::Dense,
+            ConfigError::Bins => Self::Bins,
+            ConfigError::Rate => Self::Rate,
+        }
+    }
+}
+
+impl From<HotError> for Refusal {
+    fn from(error: HotError) -> Self {
+        match error {
+            HotError::Outside => Self::HotOutside,
+            HotError::NoRoom => Self::HotRoom,
+        }
+    }
+}
+
+/// What an encoder says of itself, after a setup, hot pixels and a flush; postcard writes it.
 ///
 /// Counts run since the start of the encoder and wrap; times are of its own clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Status {
-    /// Kind of the packet that this answers: 1 setup, 3 flush; 0 after a restart.
+    /// Kind of the packet that this answers: 1 setup, 3 flush, 5 hot pixels; 0 after a restart.
     pub answers: u8,
     /// Whether an encoder is set up; a refused setup leaves none.
     pub running: bool,
+    /// Why not, or why not all hot pixels are kept out.
+    pub refusal: Option<Refusal>,
+    /// Pixels that are kept out.
+    pub hot_pixels: u32,
+    /// Words that the dense coder has for what is not the same for every sensor, as `words` of
+    /// `coder/dense.rs` counts them; 0 where it is not set up.
+    pub dense_words: u32,
     /// Events that a window holds before it closes early.
     pub window_events: u32,
     /// Largest frame in bytes.
@@ -48,7 +118,7 @@ impl Status {
     /// Writes it as a packet's body to the start of `out` and returns its length.
     ///
     /// # Errors
-    /// [`TooLong`]: `out` is too short; 96 bytes are enough.
+    /// [`TooLong`]: `out` is too short; [`super::FIELDS_BYTES_MAX`] are enough.
     pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
         write_body(self, out)
     }
@@ -62,6 +132,7 @@ impl Status {
 
 #[cfg(test)]
 mod tests {
+    use super::super::FIELDS_BYTES_MAX;
     use super::*;
 
     #[test]
@@ -69,6 +140,9 @@ mod tests {
         let status = Status {
             answers: u8::MAX,
             running: true,
+            refusal: Some(Refusal::HotUnset),
+            hot_pixels: u32::MAX,
+            dense_words: u32::MAX,
             window_events: u32::MAX,
             frame_bytes: u32::MAX,
             events: u32::MAX,
@@ -84,7 +158,7 @@ mod tests {
             send_ns: u64::MAX,
             stack_bytes: u32::MAX,
         };
-        let mut out = [0; 96];
+        let mut out = [0; FIELDS_BYTES_MAX];
         let len = status.write(&mut out).unwrap();
         assert_eq!(Status::parse(&out[..len]), Some(status));
         assert_eq!(Status::parse(&out[..=len]), None);
