@@ -424,7 +424,8 @@ impl<'b> WindowEncoder<'b> {
             let most = HEADER_BYTES_MAX + rate.room().saturating_sub(HEADER_BYTES_MAX + CRC_BYTES);
             end = end.min(most);
         }
-        let payload = &mut out[HEADER_BYTES_MAX..end];
+        // There is that much.
+        let payload = out.get_mut(HEADER_BYTES_MAX..end).unwrap_or_default();
         let payload_bytes = match header.mode {
             Mode::Transform => {
                 let mut writer = BitWriter::new(payload);
