@@ -3,7 +3,9 @@
 
 use std::collections::VecDeque;
 
-use eecvs_nostd::event_link::{BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Setup};
+use eecvs_nostd::event_link::{
+    BODY_BYTES_MAX, FIELDS_BYTES_MAX, HotNumbers, Kind, PACKET_BYTES_MAX, Packet, Setup,
+};
 use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Poll, Work};
@@ -51,6 +53,16 @@ fn setup(when_full: u8, time_base_us: u64) -> Setup {
 
 /// The link's bytes for a setup, events and a flush; the packets' boundaries too.
 fn packets(events: &[Event], body_bytes: usize, when_full: u8) -> Vec<Vec<u8>> {
+    packets_without(&[], events, body_bytes, when_full)
+}
+
+/// The same with hot pixels, in two packets, after the setup.
+fn packets_without(
+    hot: &[(u16, u16)],
+    events: &[Event],
+    body_bytes: usize,
+    when_full: u8,
+) -> Vec<Vec<u8>> {
     let mut packets = Vec::new();
     let mut put = |kind, position, body: &[u8]| {
         let mut out = [0; PACKET_BYTES_MAX];
@@ -63,9 +75,21 @@ fn packets(events: &[Event], body_bytes: usize, when_full: u8) -> Vec<Vec<u8>> {
         packets.push(out[..len].to_vec());
     };
     let base_us = events.first().map_or(0, |event| event.t_us);
-    let mut body = [0; 96];
+    let mut body = [0; FIELDS_BYTES_MAX];
     let len = setup(when_full, base_us).write(&mut body).unwrap();
     put(Kind::Setup, 0, &body[..len]);
+    let (one, other) = hot.split_at(hot.len() / 2);
+    for half in [one, other].into_iter().filter(|half| !half.is_empty()) {
+        let mut numbers: Vec<_> = half.iter().map(|pixel| SENSOR.number(*pixel)).collect();
+        numbers.sort_unstable();
+        let (mut body, mut writer) = ([0; BODY_BYTES_MAX], HotNumbers::START);
+        assert!(
+            numbers
+                .iter()
+                .all(|number| writer.write(*number, &mut body))
+        );
+        put(Kind::Hot, 0, &body[..writer.bytes()]);
+    }
     let mut words = Evt2Encoder::new(base_us);
     let (mut body, mut position, mut sent) = (Vec::new(), 0, 0);
     words.restate_time();
@@ -116,6 +140,8 @@ struct Machine {
     frames: Vec<u8>,
     flushed: Vec<Counts>,
     setups: usize,
+    /// Pixels kept out, at each answer.
+    hot: Vec<usize>,
 }
 
 fn leak<T: Clone>(value: T, len: usize) -> &'static mut [T] {
@@ -132,6 +158,7 @@ impl Machine {
             frames: Vec::new(),
             flushed: Vec::new(),
             setups: 0,
+            hot: Vec::new(),
         }
     }
 
@@ -140,6 +167,15 @@ impl Machine {
         match self.side.work.pop_front() {
             None => {}
             Some(Work::Flush(counts)) => self.flushed.push(counts),
+            Some(Work::Hot(number)) => {
+                let pixel = SENSOR.pixel(number).expect("on the sensor");
+                let encoder = self.encoder.as_mut().expect("set up before");
+                encoder.add_hot(pixel).expect("room");
+            }
+            Some(Work::HotEnd(_)) => {
+                let encoder = self.encoder.as_ref().expect("set up before");
+                self.hot.push(encoder.hot_count());
+            }
             Some(Work::Setup(setup, _)) => {
                 let config = setup.config().expect("the test's own");
                 let scratch = Scratch {
@@ -147,7 +183,7 @@ impl Machine {
                     totals: leak(WideSum::ZERO, 64),
                     magnitudes: leak(0, 64),
                     dense: None,
-                    hot: &[],
+                    hot: leak(0, 40),
                     order: &mut [],
                 };
                 self.encoder = Some(WindowEncoder::new(config, scratch).unwrap());
@@ -203,6 +239,10 @@ impl Machine {
 
 /// The frames of one window that is encoded as soon as it closes.
 fn expected(events: &[Event]) -> Vec<u8> {
+    expected_without(&[], events)
+}
+
+fn expected_without(hot: &[(u16, u16)], events: &[Event]) -> Vec<u8> {
     let mut memory = vec![0; MEMORY_WORDS];
     let buffers = WindowBuffers::share(&mut memory, 2, SENSOR)
         .unwrap()
@@ -214,10 +254,13 @@ fn expected(events: &[Event]) -> Vec<u8> {
         totals: &mut totals,
         magnitudes: &mut magnitudes,
         dense: None,
-        hot: &[],
+        hot: &mut [0; 40],
         order: &mut [],
     };
     let mut encoder = Encoder::set_up(config(), buffers, scratch).unwrap();
+    for pixel in hot {
+        encoder.add_hot(*pixel).unwrap();
+    }
     let mut frames = Vec::new();
     let mut out = [0; 1400];
     let mut take = |encoder: &mut Encoder<'_>| {
@@ -288,6 +331,24 @@ proptest! {
         prop_assert_eq!(machine.flushed.len(), 1);
         let counts = machine.flushed[0];
         prop_assert_eq!(counts, Counts { events: events.len() as u32, ..Counts::default() });
+    }
+
+    /// Hot pixels are kept out of every window after them, and filtered.
+    #[test]
+    fn hot_pixels_are_kept_out(
+        hot in proptest::collection::vec((0..70_u16, 0..9_u16), 1..40), events in events(),
+        chunk in 1..2000_usize, pace in 1..40_usize,
+    ) {
+        let mut machine = Machine::new();
+        let stream = packets_without(&hot, &events, 200, Setup::WAIT).concat();
+        machine.receive(&stream, chunk, pace);
+        prop_assert_eq!(&machine.frames, &expected_without(&hot, &events));
+        let distinct: std::collections::BTreeSet<_> = hot.iter().collect();
+        prop_assert_eq!(machine.hot.last(), Some(&distinct.len()));
+        // The next setup knows none of them.
+        machine.frames.clear();
+        machine.receive(&packets(&events, 200, Setup::WAIT).concat(), chunk, pace);
+        prop_assert_eq!(&machine.frames, &expected(&events));
     }
 
     /// A receiver that drops tells in its frames what it dropped.

@@ -146,7 +146,7 @@ proptest! {
         let keep_order = keep_order && mode != Mode::Transform;
         let config = Config { mode, key_windows, keep_order, ..config };
         let sensor = config.window.sensor;
-        let limits = Limits { window_events, frame_bytes };
+        let limits = Limits { window_events, frame_bytes, ..Limits::default() };
         let end = if damaged { End::Damage } else { End::Clean };
         let mut first = None;
         for threads in [1, 2, 3, 8] {
@@ -214,6 +214,7 @@ fn a_scene_is_the_same_on_any_number_of_threads() {
     let limits = |window_events, frame_bytes| Limits {
         window_events,
         frame_bytes,
+        ..Limits::default()
     };
     for (name, config, limits) in [
         ("plain", auto, Limits::default()),

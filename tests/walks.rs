@@ -33,7 +33,7 @@ fn frames(
         totals: &mut [WideSum::ZERO; 2 * GRID_MAX],
         magnitudes: &mut [0; 2 * GRID_MAX],
         dense: None,
-        hot: &[],
+        hot: &mut [],
         order: &mut [],
     };
     let mut encoder = WindowEncoder::new(config, scratch).expect("an encoder");

@@ -17,6 +17,7 @@ use crate::frame::{
     CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, OrderSection, seal,
 };
 use crate::group::Group;
+use crate::hot_pixels::HotPixels;
 use crate::kernel::{Accumulate, WithKernel};
 use crate::packing::PIXEL_BYTES_MAX;
 use crate::phase::PhaseScale;
@@ -61,7 +62,7 @@ pub struct Config {
     /// How the sensor scans: a window whose times lie on such scans is told by them, by the dense
     /// coder where it is lossless.
     pub readout: Option<Readout>,
-    /// What is kept out of every window, beside [`Scratch::hot`].
+    /// What is kept out of every window, beside the pixels of [`WindowEncoder::add_hot`].
     pub filter: Filter,
     /// Bytes that the frames of any second take at the most, of a hybrid mode: see `rate.rs`.
     pub bytes_per_second: Option<NonZeroU32>,
@@ -100,6 +101,16 @@ pub enum SetupError {
     Window,
     /// The rest of the configuration.
     Config(ConfigError),
+}
+
+/// Why a pixel cannot be kept out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum HotError {
+    /// It is not on the sensor.
+    Outside,
+    /// [`Scratch::hot`] is full.
+    NoRoom,
 }
 
 impl Config {
@@ -177,9 +188,8 @@ pub struct Scratch<'b> {
     pub magnitudes: &'b mut [u32],
     /// What the dense coder of hybrid frames remembers; needed for it alone.
     pub dense: Option<DenseMemory<'b>>,
-    /// Pixels that are never sent: a word per segment of 32 columns, in raster order, bit i its column i.
-    /// May be empty, or shorter than the sensor.
-    pub hot: &'b [u32],
+    /// A word for each pixel that is never sent: see [`WindowEncoder::add_hot`].
+    pub hot: &'b mut [u32],
     /// Words for [`Config::keep_order`], [`arrival::words`] of a window's slots, and none without it. A
     /// window that filled more slots is sent without its order, which its frames then do not claim.
     pub order: &'b mut [u32],
@@ -250,6 +260,7 @@ pub struct Encoded {
 pub struct WindowEncoder<'b> {
     config: Config,
     scratch: Scratch<'b>,
+    hot: HotPixels<'b>,
     kept: Kept,
     group: Group,
     task: Option<Task>,
@@ -271,9 +282,25 @@ impl<'b> WindowEncoder<'b> {
         if let Err(error) = config.check(&scratch) {
             return Err(error);
         }
+        let Scratch {
+            sums,
+            totals,
+            magnitudes,
+            dense,
+            hot,
+            order,
+        } = scratch;
         Ok(Self {
             config,
-            scratch,
+            scratch: Scratch {
+                sums,
+                totals,
+                magnitudes,
+                dense,
+                hot: &mut [],
+                order,
+            },
+            hot: HotPixels::new(hot),
             kept: Kept::NONE,
             group: Group::new(),
             task: None,
@@ -286,13 +313,14 @@ impl<'b> WindowEncoder<'b> {
     }
 
     /// Starts anew with another configuration; on an error the one before stays. A window that was
-    /// being encoded is forgotten.
+    /// being encoded is forgotten, and so are the pixels of [`Self::add_hot`].
     ///
     /// # Errors
     /// [`ConfigError`].
     pub fn set_up(&mut self, config: Config) -> Result<(), ConfigError> {
         config.check(&self.scratch)?;
         self.config = config;
+        self.hot.clear();
         self.task = None;
         self.sequence = 0;
         self.rate = rate(&config);
@@ -304,6 +332,34 @@ impl<'b> WindowEncoder<'b> {
     pub const fn restart(&mut self) {
         self.chain = Chain::START;
         self.breaks = false;
+    }
+
+    /// Lends other memory for the dense coder, or none: before a [`Self::set_up`], as what was learned
+    /// lies in the one before.
+    pub const fn lend_dense(&mut self, memory: Option<DenseMemory<'b>>) {
+        self.scratch.dense = memory;
+    }
+
+    /// Keeps a pixel, column and row, out of every window from the next one on that is encoded; returns
+    /// how many there are.
+    ///
+    /// # Errors
+    /// [`HotError`]; those before it stay.
+    pub fn add_hot(&mut self, (x, y): (u16, u16)) -> Result<usize, HotError> {
+        let sensor = self.config.window.sensor;
+        if !sensor.contains(x, y) {
+            return Err(HotError::Outside);
+        }
+        match self.hot.add((x, y), sensor.width) {
+            Ok(()) => Ok(self.hot.count()),
+            Err(_) => Err(HotError::NoRoom),
+        }
+    }
+
+    /// How many pixels are kept out.
+    #[must_use]
+    pub const fn hot_count(&self) -> usize {
+        self.hot.count()
     }
 
     /// The configuration.
@@ -393,7 +449,8 @@ impl<'b> WindowEncoder<'b> {
             let most = HEADER_BYTES_MAX + rate.room().saturating_sub(HEADER_BYTES_MAX + CRC_BYTES);
             end = end.min(most);
         }
-        let payload = &mut out[HEADER_BYTES_MAX..end];
+        // There is that much.
+        let payload = out.get_mut(HEADER_BYTES_MAX..end).unwrap_or_default();
         header.order = None;
         let mut payload_bytes = match header.mode {
             Mode::Transform => {
@@ -460,7 +517,7 @@ impl<'b> WindowEncoder<'b> {
     fn begin(&mut self, closed: Closed, window: &mut Window<'_>) -> Task {
         let WindowConfig { sensor, .. } = window.config();
         let used = window.events();
-        let filtered = self.config.filter.apply(self.scratch.hot, window);
+        let filtered = self.config.filter.apply(&self.hot, window);
         window.count_filtered(filtered);
         let density = Density {
             events: window.events(),
@@ -772,6 +829,14 @@ impl<'b> Encoder<'b> {
         trace: &mut impl Trace,
     ) -> Result<Option<Encoded>, NoRoom> {
         self.encoder.next_frame_traced(&mut self.window, out, trace)
+    }
+
+    /// [`WindowEncoder::add_hot`].
+    ///
+    /// # Errors
+    /// [`HotError`].
+    pub fn add_hot(&mut self, pixel: (u16, u16)) -> Result<usize, HotError> {
+        self.encoder.add_hot(pixel)
     }
 
     /// The window, to count drops or to look at.

@@ -81,4 +81,20 @@ impl Sensor {
     pub const fn contains(self, x: u16, y: u16) -> bool {
         x < self.width && y < self.height
     }
+
+    /// Number of a pixel in raster order, y * width + x.
+    #[must_use]
+    pub const fn number(self, (x, y): (u16, u16)) -> u32 {
+        y as u32 * self.width as u32 + x as u32
+    }
+
+    /// Column and row of a pixel's number; `None` beyond the last.
+    #[must_use]
+    pub const fn pixel(self, number: u32) -> Option<(u16, u16)> {
+        let width = self.width as u32;
+        match (number.checked_div(width), number.checked_rem(width)) {
+            (Some(y), Some(x)) if y < self.height as u32 => Some((x as u16, y as u16)),
+            _ => None,
+        }
+    }
 }

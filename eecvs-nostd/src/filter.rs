@@ -4,6 +4,7 @@
 //! A closed window is filtered, so that one pass serves every source of events and the cost follows
 //! the window's events. What is kept out is counted.
 
+use crate::hot_pixels::HotPixels;
 use crate::window::{SEGMENT_PIXELS, Window};
 
 /// A rectangle of pixels.
@@ -59,17 +60,14 @@ impl Filter {
         isolated: false,
     };
 
-    /// Keeps out events of a closed window; returns how many. `hot` has a word per segment of 32
-    /// columns, in raster order, whose bits are the columns that are never kept; it may be shorter.
-    pub(crate) fn apply(self, hot: &[u32], window: &mut Window<'_>) -> u32 {
-        let mut removed = 0;
-        if self.region.is_some() || !hot.is_empty() {
+    /// Keeps out events of a closed window, those of `hot` among them; returns how many.
+    pub(crate) fn apply(self, hot: &HotPixels<'_>, window: &mut Window<'_>) -> u32 {
+        let mut removed = hot.remove(window);
+        if let Some(region) = self.region {
             let mut from = 0;
             while let Some(segment) = window.next_used(from) {
                 let at = window.segment_origin(segment);
-                let region = self.region.map_or(u32::MAX, |region| region.columns(at));
-                let hot = hot.get(segment as usize).copied().unwrap_or(0);
-                removed += window.keep_columns(segment, region & !hot);
+                removed += window.keep_columns(segment, region.columns(at));
                 from = segment + 1;
             }
         }
@@ -140,7 +138,7 @@ mod tests {
         sensor: Sensor,
         events: &[(u16, u16)],
         filter: Filter,
-        hot: &[u32],
+        hot: &[(u16, u16)],
     ) -> (Vec<(u16, u16)>, u32) {
         let count = segments(sensor.width, sensor.height);
         let (mut slots, mut heads) = (vec![Slot::EMPTY; events.len().max(1)], vec![0; count]);
@@ -159,7 +157,12 @@ mod tests {
             window.push(event(*x, *y));
         }
         window.flush();
-        let removed = filter.apply(hot, &mut window);
+        let mut memory = vec![0; hot.len()];
+        let mut pixels = HotPixels::new(&mut memory);
+        for pixel in hot {
+            pixels.add(*pixel, sensor.width).unwrap();
+        }
+        let removed = filter.apply(&pixels, &mut window);
         assert_eq!(window.events() + removed, events.len() as u32);
         let mut group = crate::group::Group::new();
         let mut found = vec![];
@@ -181,17 +184,16 @@ mod tests {
             }),
             region in proptest::option::of((0_u16..150, 0_u16..40, 0_u16..200, 0_u16..50)),
             isolated: bool,
-            hot in proptest::collection::vec(prop_oneof![Just(0), any::<u32>()], 0..40),
+            hot in proptest::collection::vec((0_u16..150, 0_u16..40), 0..60),
         ) {
             let sensor = Sensor::new(width, height).unwrap();
             let region = region.map(|(x, y, width, height)| Region { x, y, width, height });
-            let stride = width.div_ceil(32);
+            let hot: Vec<_> = hot.into_iter().map(|(x, y)| (x % width, y % height)).collect();
             let mut kept: Vec<_> = events.iter().copied().filter(|(x, y)| {
                 let inside = region.is_none_or(|r| {
                     (r.x..r.x + r.width).contains(x) && (r.y..r.y + r.height).contains(y)
                 });
-                let word = hot.get(usize::from(y * stride + x / 32)).copied().unwrap_or(0);
-                inside && word >> (x % 32) & 1 == 0
+                inside && !hot.contains(&(*x, *y))
             }).collect();
             if isolated {
                 let all = kept.clone();

@@ -21,6 +21,10 @@ pub enum Input {
     Flush,
     /// Start anew.
     Setup(Setup),
+    /// A pixel, by its number y * width + x, that is never sent.
+    Hot(u32),
+    /// These were all: answer.
+    HotEnd,
 }
 
 /// Where EVT 2.0 words come from: a link ([`crate::link_source`]), or a sensor on a port of the
@@ -50,6 +54,10 @@ pub enum Work<'b> {
     Setup(Setup, Counts),
     /// Everything before was sent: answer.
     Flush(Counts),
+    /// Keep this pixel, by its number y * width + x, out of the windows that follow.
+    Hot(u32),
+    /// These were all: answer.
+    HotEnd(Counts),
 }
 
 /// The two directions between ingest and the encoding side.
@@ -100,6 +108,10 @@ enum Step {
     Flush,
     /// Tell that the flush is done.
     FlushDone,
+    /// Hand over a hot pixel.
+    Hot(u32),
+    /// Tell that these were all.
+    HotEnd,
     /// Hand over the open window, for a setup.
     SetupFlush(Setup),
     /// Wait for the windows to come back.
@@ -186,12 +198,9 @@ impl<'b> Ingest<'b> {
                 }
                 Step::Event(event) => self.event(event, exchange) && self.go_to(Step::Input),
                 Step::Flush => self.close(exchange) && self.go_to(Step::FlushDone),
-                Step::FlushDone => {
-                    exchange.has_room() && {
-                        exchange.hand_over(Work::Flush(self.counts));
-                        self.go_to(Step::Input)
-                    }
-                }
+                Step::FlushDone => self.hand_over(Work::Flush(self.counts), exchange),
+                Step::Hot(number) => self.hand_over(Work::Hot(number), exchange),
+                Step::HotEnd => self.hand_over(Work::HotEnd(self.counts), exchange),
                 Step::SetupFlush(setup) => {
                     self.close(exchange) && self.go_to(Step::SetupWindows(setup))
                 }
@@ -201,6 +210,14 @@ impl<'b> Ingest<'b> {
             if !went_on {
                 return Poll::Stalled;
             }
+        }
+    }
+
+    /// Hands over work and goes on; `false` asks to wait.
+    fn hand_over(&mut self, work: Work<'b>, exchange: &mut impl Exchange<'b>) -> bool {
+        exchange.has_room() && {
+            exchange.hand_over(work);
+            self.go_to(Step::Input)
         }
     }
 
@@ -245,6 +262,8 @@ impl<'b> Ingest<'b> {
             }
             Input::Flush => self.step = Step::Flush,
             Input::Setup(setup) => self.step = Step::SetupFlush(setup),
+            Input::Hot(number) => self.step = Step::Hot(number),
+            Input::HotEnd => self.step = Step::HotEnd,
         }
     }
 

@@ -39,6 +39,7 @@ pub mod filter;
 pub mod fixed_point;
 pub mod frame;
 pub mod group;
+pub mod hot_pixels;
 pub mod ingest;
 mod intake;
 pub mod kernel;
@@ -77,7 +78,8 @@ pub use coder::{Axis, Cells, Coder, Fidelity, Hybrid, Readout, Scans, Times};
 pub use density::Density;
 pub use descriptor::{Coded, Descriptor};
 pub use encoder::{
-    Config, ConfigError, Encoded, Encoder, OUTPUT_BYTES_MIN, Scratch, SetupError, WindowEncoder,
+    Config, ConfigError, Encoded, Encoder, HotError, OUTPUT_BYTES_MIN, Scratch, SetupError,
+    WindowEncoder,
 };
 pub use event::{Event, Polarity, Sensor};
 pub use filter::{Filter, Region};

@@ -1,7 +1,7 @@
 //! The event link as an [`EventSource`]: received bytes to words, losses told by the packets'
 //! positions.
 
-use crate::event_link::{Kind, Packet, Receiver, Setup};
+use crate::event_link::{HotNumbers, Kind, Packet, Receiver, Setup};
 use crate::evt2::is_event;
 use crate::ingest::{EventSource, Input};
 
@@ -14,6 +14,8 @@ enum Step {
     Packet,
     /// Take its words, from this offset of its body on.
     Words(usize),
+    /// Take its hot pixels.
+    Hot(HotNumbers),
 }
 
 /// The link between two bytes.
@@ -73,6 +75,19 @@ impl Link {
         Some(Input::Word(word))
     }
 
+    fn hot(&mut self, mut numbers: HotNumbers) -> Input {
+        let body = self.receiver.packet().map_or(&[][..], |packet| packet.body);
+        let number = numbers.read(body);
+        let left_over = body.len() - numbers.bytes().min(body.len());
+        if let Some(number) = number {
+            self.step = Step::Hot(numbers);
+            return Input::Hot(number);
+        }
+        self.ignore(left_over);
+        self.step = Step::Bytes;
+        Input::HotEnd
+    }
+
     /// The packet is in the receiver until the next one is asked for.
     fn begin(&mut self) -> Option<Input> {
         self.step = Step::Bytes;
@@ -95,7 +110,7 @@ impl Link {
                 self.ignore(1);
                 return None;
             }
-            Kind::Words | Kind::Flush => {}
+            Kind::Words | Kind::Flush | Kind::Hot => {}
         }
         let ahead = position.wrapping_sub(self.position);
         if ahead >= 1 << 31 {
@@ -108,6 +123,9 @@ impl Link {
             Some(Input::Lost(ahead))
         } else if kind == Kind::Flush {
             Some(Input::Flush)
+        } else if kind == Kind::Hot {
+            self.step = Step::Hot(HotNumbers::START);
+            None
         } else {
             self.ignore(left_over);
             self.step = Step::Words(0);
@@ -133,7 +151,7 @@ impl<F: FnMut() -> Option<u8>> EventSource for LinkSource<'_, F> {
     fn words(&self) -> &[[u8; 4]] {
         match self.link.step {
             Step::Words(at) => self.link.receiver.words(at),
-            Step::Bytes | Step::Packet => &[],
+            Step::Bytes | Step::Packet | Step::Hot(_) => &[],
         }
     }
 
@@ -150,6 +168,7 @@ impl<F: FnMut() -> Option<u8>> EventSource for LinkSource<'_, F> {
         loop {
             let input = match link.step {
                 Step::Words(at) => link.word(at),
+                Step::Hot(numbers) => Some(link.hot(numbers)),
                 Step::Packet => link.begin(),
                 Step::Bytes => {
                     if link.receiver.next_packet().is_some() {

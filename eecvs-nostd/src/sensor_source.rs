@@ -111,7 +111,8 @@ mod tests {
             let setup = Setup {
                 width: 1, height: 1, window_us: 1, tau_low_pico: 0, tau_high_pico: 0, transform: 0,
                 m: 1, grid: 0, step_log2: 0, mode: 0, fidelity: 0, key_windows: 1, region: [0; 4],
-                isolated: 0, bytes_per_second: 0, time_base_us: 0, when_full: Setup::DROP,
+                isolated: 0, bytes_per_second: 0, scan_period_q16: 0, scan_slope_q16: 0,
+                scan_axis: 0, time_base_us: 0, when_full: Setup::DROP,
             };
             let mut port = Port::new(producer);
             let mut source = SensorSource::new(consumer, setup);
@@ -162,7 +163,7 @@ mod tests {
                         }
                         is_after_loss = true;
                     }
-                    Input::Setup(_) | Input::Flush => prop_assert!(false),
+                    _ => prop_assert!(false),
                 }
             }
             prop_assert!(words > 0);

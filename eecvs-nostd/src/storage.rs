@@ -70,7 +70,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
             dense,
-            hot: &[],
+            hot: &mut [],
             order: &mut [],
         };
         Encoder::set_up(config, buffers, scratch)
@@ -156,7 +156,7 @@ mod tests {
             totals: &mut totals,
             magnitudes: &mut magnitudes,
             dense: None,
-            hot: &[],
+            hot: &mut [],
             order: &mut [],
         };
         match (

@@ -167,26 +167,23 @@ impl<'b> WindowBuffers<'b> {
             return None;
         }
         memory.fill(0);
-        Some(
-            memory
-                .chunks_exact_mut(share)
-                .take(windows)
-                .filter_map(move |share| {
-                    let (bitmap, share) = share.split_at_mut_checked(bitmap_words)?;
-                    let (heads, share) = share.split_at_mut_checked(heads_words)?;
-                    let events = (share.len() / SLOT_WORDS).min(SLOTS_MAX);
-                    let (slots, _) =
-                        <[Slot]>::mut_from_prefix_with_elems(share.as_mut_bytes(), events).ok()?;
-                    let (heads, _) =
-                        <[Head]>::mut_from_prefix_with_elems(heads.as_mut_bytes(), segments)
-                            .ok()?;
-                    Some(Self {
-                        slots,
-                        heads,
-                        bitmap,
-                    })
-                }),
-        )
+        let mut rest = memory;
+        Some((0..windows).filter_map(move |_| {
+            let (share, after) = core::mem::take(&mut rest).split_at_mut_checked(share)?;
+            rest = after;
+            let (bitmap, share) = share.split_at_mut_checked(bitmap_words)?;
+            let (heads, share) = share.split_at_mut_checked(heads_words)?;
+            let events = (share.len() / SLOT_WORDS).min(SLOTS_MAX);
+            let (slots, _) =
+                <[Slot]>::mut_from_prefix_with_elems(share.as_mut_bytes(), events).ok()?;
+            let (heads, _) =
+                <[Head]>::mut_from_prefix_with_elems(heads.as_mut_bytes(), segments).ok()?;
+            Some(Self {
+                slots,
+                heads,
+                bitmap,
+            })
+        }))
     }
 }
 

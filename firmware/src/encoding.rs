@@ -1,10 +1,10 @@
 //! Windows to frames, and frames to the link: `main`'s side.
 
-use eecvs_nostd::event_link::{Kind, Packet, Setup, Status};
+use eecvs_nostd::event_link::{FIELDS_BYTES_MAX, Kind, Packet, Refusal, Setup, Status};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Work};
 use eecvs_nostd::{
-    Config, Filter, KEY_WINDOWS, Mode, Quantiser, Scratch, Sensor, Thresholds, Window,
+    Config, Filter, HotError, KEY_WINDOWS, Mode, Quantiser, Scratch, Sensor, Thresholds, Window,
     WindowBuffers, WindowConfig, WindowEncoder,
 };
 
@@ -12,17 +12,16 @@ use static_cell::ConstStaticCell;
 
 use crate::board::{self, Sender};
 use crate::clock::{Stopwatch, interrupt_ticks, nanoseconds};
+use crate::memory::{self, Shares};
 use crate::receiving;
 use crate::stack;
 
 /// Windows in turn.
 const WINDOWS: usize = 2;
-/// Memory of all windows in words: memory.x has its budget.
-const WINDOW_WORDS: usize = 22 * 1024;
 /// Numbers of the largest grid: any M up to 64 at its default grid.
 const NUMBERS: usize = 256;
-/// Largest frame.
-const FRAME_BYTES: usize = 4096;
+/// Hot pixels.
+const HOT_PIXELS: usize = 512;
 
 /// What runs before the first setup: never used on events.
 const IDLE: Config = Config {
@@ -66,9 +65,11 @@ impl Total {
 pub struct Encoding {
     sender: Sender,
     encoder: WindowEncoder<'static>,
-    out: &'static mut [u8; FRAME_BYTES],
+    out: &'static mut [u8],
     window_events: usize,
+    dense_words: usize,
     running: bool,
+    refusal: Option<Refusal>,
     windows: u32,
     frames: u32,
     receive: Total,
@@ -85,21 +86,23 @@ impl Encoding {
         static TOTALS: ConstStaticCell<[WideSum; NUMBERS]> =
             ConstStaticCell::new([WideSum::ZERO; NUMBERS]);
         static MAGNITUDES: ConstStaticCell<[u32; NUMBERS]> = ConstStaticCell::new([0; NUMBERS]);
-        static OUT: ConstStaticCell<[u8; FRAME_BYTES]> = ConstStaticCell::new([0; FRAME_BYTES]);
+        static HOT: ConstStaticCell<[u32; HOT_PIXELS]> = ConstStaticCell::new([0; HOT_PIXELS]);
         let scratch = Scratch {
             sums: SUMS.try_take()?,
             totals: TOTALS.try_take()?,
             magnitudes: MAGNITUDES.try_take()?,
             dense: None,
-            hot: &[],
+            hot: HOT.try_take()?,
             order: &mut [],
         };
         Some(Self {
             sender,
             encoder: WindowEncoder::new(IDLE, scratch).ok()?,
-            out: OUT.try_take()?,
+            out: &mut [],
             window_events: 0,
+            dense_words: 0,
             running: false,
+            refusal: None,
             windows: 0,
             frames: 0,
             receive: Total::default(),
@@ -126,6 +129,8 @@ impl Encoding {
                 self.set_up(&setup);
                 self.send_status(Kind::Setup as u8, counts);
             }
+            Some(Work::Hot(number)) => self.keep_out(number),
+            Some(Work::HotEnd(counts)) => self.send_status(Kind::Hot as u8, counts),
             Some(Work::Flush(counts)) => {
                 defmt::info!(
                     "{=u32} windows in {=u32} frames; {}",
@@ -163,36 +168,78 @@ impl Encoding {
     }
 
     fn set_up(&mut self, setup: &Setup) {
-        self.running = false;
         self.window_events = 0;
-        let mut windows = [const { None }; WINDOWS];
-        if let Some(config) = setup.config()
-            && self.encoder.set_up(config).is_ok()
-            && let Some(shares) = window_buffers(config.window.sensor)
-        {
-            for (window, buffers) in windows.iter_mut().zip(shares) {
-                self.window_events = buffers.slots.len();
-                *window = Window::new(config.window, buffers);
+        self.dense_words = 0;
+        let windows = self.divide(setup);
+        self.running = windows.is_ok();
+        self.refusal = windows.as_ref().err().copied();
+        match windows {
+            Ok(windows) => {
+                defmt::info!("{}: {=usize} events a window", setup, self.window_events);
+                receiving::set_up(setup, WINDOWS);
+                windows.into_iter().flatten().for_each(receiving::free);
+            }
+            Err(refusal) => {
+                self.window_events = 0;
+                defmt::error!("refused for {}: {}", refusal, setup);
+                receiving::set_up(setup, 0);
             }
         }
-        self.running = windows.iter().all(Option::is_some);
-        if self.running {
-            defmt::info!("{}: {=usize} events a window", setup, self.window_events);
-            receiving::set_up(setup, WINDOWS);
-            windows.into_iter().flatten().for_each(receiving::free);
-        } else {
-            self.window_events = 0;
-            defmt::error!("refused: {}", setup);
-            receiving::set_up(setup, 0);
+    }
+
+    /// Divides the memory for a setup, and sets the encoder up in it; the windows are all there.
+    fn divide(&mut self, setup: &Setup) -> Result<[Option<Window<'static>>; WINDOWS], Refusal> {
+        self.encoder.lend_dense(None);
+        self.out = &mut [];
+        let config = setup.config()?;
+        // SAFETY: every window has come back and was dropped, as `Ingest` hands a setup over only then;
+        // the encoder and the output have just given up their parts.
+        let shares = unsafe { memory::divide(&config) };
+        let Shares {
+            windows: memory,
+            out,
+            dense,
+        } = shares.ok_or(Refusal::Dense)?;
+        self.out = out;
+        self.dense_words = dense.as_ref().map_or(0, |dense| dense.words.len());
+        self.encoder.lend_dense(dense);
+        self.encoder.set_up(config)?;
+        let shares = WindowBuffers::share(memory, WINDOWS, config.window.sensor);
+        let mut windows = [const { None }; WINDOWS];
+        for (window, buffers) in windows.iter_mut().zip(shares.ok_or(Refusal::Windows)?) {
+            self.window_events = buffers.slots.len();
+            *window = Window::new(config.window, buffers);
         }
+        if windows.iter().all(Option::is_some) {
+            Ok(windows)
+        } else {
+            Err(Refusal::Windows)
+        }
+    }
+
+    /// Keeps a pixel out of the windows that follow; the first refusal is told.
+    fn keep_out(&mut self, number: u32) {
+        let added = if self.running {
+            let sensor = self.encoder.config().window.sensor;
+            let pixel = sensor.pixel(number).ok_or(HotError::Outside);
+            pixel
+                .and_then(|pixel| self.encoder.add_hot(pixel))
+                .map_err(Refusal::from)
+        } else {
+            Err(Refusal::HotUnset)
+        };
+        self.refusal = self.refusal.or(added.err());
     }
 
     fn send_status(&mut self, answers: u8, counts: Counts) {
         let status = Status {
             answers,
             running: self.running,
+            refusal: self.refusal,
+            hot_pixels: self.encoder.hot_count() as u32,
+            dense_words: self.dense_words as u32,
             window_events: self.window_events as u32,
-            frame_bytes: FRAME_BYTES as u32,
+            frame_bytes: self.out.len() as u32,
             events: counts.events,
             lost: counts.lost,
             dropped: counts.dropped,
@@ -206,7 +253,7 @@ impl Encoding {
             send_ns: self.send.ns(),
             stack_bytes: stack::used_bytes(),
         };
-        let mut body = [0; 96];
+        let mut body = [0; FIELDS_BYTES_MAX];
         let mut packet = [0; 128];
         let body = status.write(&mut body).ok().and_then(|len| body.get(..len));
         let packet = body.and_then(|body| {
@@ -223,13 +270,4 @@ impl Encoding {
             self.sender.send(packet);
         }
     }
-}
-
-/// The windows' memory, divided for a sensor; `None` where it is too small.
-fn window_buffers(sensor: Sensor) -> Option<impl Iterator<Item = WindowBuffers<'static>>> {
-    static mut MEMORY: [u32; WINDOW_WORDS] = [0; WINDOW_WORDS];
-    // SAFETY: called on a setup only, by `main` alone, when every window made of this memory
-    // before has come back and was dropped: `Ingest` hands a setup over only then.
-    let memory = unsafe { (&raw mut MEMORY).as_mut() }?;
-    WindowBuffers::share(memory, WINDOWS, sensor)
 }

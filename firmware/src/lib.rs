@@ -7,6 +7,7 @@
 //! | `queue.rs` | what the two sides share |
 //! | `sensor.rs` | the place to plug in a sensor |
 //! | `encoding.rs` | `main`'s side: windows to frames |
+//! | `memory.rs` | the memory that a setup divides |
 //! | `clock.rs` | time, and what interrupts took of it |
 //! | `log.rs` | defmt over RTT on a board, over semihosting in QEMU |
 //! | `stack.rs` | how much of the stack was used |
@@ -27,6 +28,8 @@ pub mod clock;
 pub mod encoding;
 pub mod fault;
 pub mod log;
+#[cfg(not(feature = "microbit"))]
+pub mod memory;
 #[cfg(not(feature = "microbit"))]
 pub mod queue;
 #[cfg(not(feature = "microbit"))]

@@ -52,6 +52,9 @@ pub const SETUP: Setup = Setup {
     region: [0; 4],
     isolated: 0,
     bytes_per_second: 0,
+    scan_period_q16: 0,
+    scan_slope_q16: 0,
+    scan_axis: 0,
     time_base_us: 0,
     when_full: Setup::DROP,
 };

@@ -1,7 +1,7 @@
 //! Any bytes on the event link: no panic, packets within their bounds, words decode or are skipped.
 #![no_main]
 
-use eecvs_nostd::event_link::{BODY_BYTES_MAX, Kind, Receiver, Setup};
+use eecvs_nostd::event_link::{BODY_BYTES_MAX, HotNumbers, Kind, Receiver, Setup};
 use eecvs_nostd::evt2::Evt2Decoder;
 use libfuzzer_sys::fuzz_target;
 
@@ -24,6 +24,11 @@ fuzz_target!(|data: &[u8]| {
                 for word in packet.body.chunks_exact(4) {
                     decoder.decode(u32::from_le_bytes([word[0], word[1], word[2], word[3]]));
                 }
+            }
+            Kind::Hot => {
+                let mut numbers = HotNumbers::START;
+                while numbers.read(packet.body).is_some() {}
+                assert!(numbers.bytes() <= packet.body.len());
             }
             Kind::Flush | Kind::Status => {}
         }

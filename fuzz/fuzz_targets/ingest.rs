@@ -4,7 +4,9 @@
 
 use std::collections::VecDeque;
 
-use eecvs_nostd::event_link::{BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Setup};
+use eecvs_nostd::event_link::{
+    BODY_BYTES_MAX, FIELDS_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Setup,
+};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
@@ -80,6 +82,11 @@ impl<'b> Machine<'b> {
                 }
                 self.side.free.push_back(window);
             }
+            Some(Work::Hot(number)) => {
+                let (x, y) = (number % 70, number / 70);
+                let _ = self.encoder.add_hot((x as u16, y.min(9) as u16));
+            }
+            Some(Work::HotEnd(_)) => {}
             Some(Work::Flush(counts)) => {
                 assert!(self.encoded <= u64::from(counts.events));
             }
@@ -109,7 +116,7 @@ fuzz_target!(|data: &[u8]| {
         totals: &mut totals,
         magnitudes: &mut magnitudes,
         dense: None,
-        hot: &[],
+        hot: &mut [0; 20],
         order: &mut [],
     };
     let config = Config {
@@ -143,9 +150,10 @@ fuzz_target!(|data: &[u8]| {
             0 => Kind::Setup,
             1 => Kind::Flush,
             2..5 => Kind::Words,
+            5 => Kind::Hot,
             _ => Kind::Status,
         };
-        let mut setup = [0; 96];
+        let mut setup = [0; FIELDS_BYTES_MAX];
         let body = if kind == Kind::Setup {
             let len = Setup {
                 width: 70,
@@ -163,11 +171,14 @@ fuzz_target!(|data: &[u8]| {
                 region: [0, 0, u16::from(operation / 16), 5],
                 isolated: operation / 16 % 2,
                 bytes_per_second: 0,
+                scan_period_q16: u32::from(operation) << 16,
+                scan_slope_q16: 0,
+                scan_axis: operation / 16 % 4,
                 time_base_us: 0,
                 when_full: operation / 8 % 2,
             }
             .write(&mut setup)
-            .expect("96 bytes are enough");
+            .expect("enough room");
             &setup[..len]
         } else {
             &body[..len.min(BODY_BYTES_MAX)]

@@ -3,17 +3,17 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
-use eecvs_nostd::{Sensor, segments};
+use eecvs_nostd::Sensor;
 
 /// Largest file that is read.
 const BYTES_MAX: u64 = 64 << 20;
 
-/// Reads a file of lines `x,y` (or `x y`); `#` begins a comment. A word per segment of 32 columns:
-/// see [`eecvs_nostd::Scratch::hot`].
+/// Reads a file of lines `x,y` (or `x y`); `#` begins a comment. Returns each pixel once, in raster
+/// order, as column and row.
 ///
 /// # Errors
 /// A file that cannot be read, a line that is not a pixel of the sensor.
-pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<u32>> {
+pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
     let name = path.display();
     let size = std::fs::metadata(path)
         .with_context(|| format!("{name}: reading hot pixels"))?
@@ -24,8 +24,7 @@ pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<u32>> {
     );
     let text =
         std::fs::read_to_string(path).with_context(|| format!("{name}: reading hot pixels"))?;
-    let mut words = vec![0; segments(sensor.width, sensor.height)];
-    let stride = usize::from(sensor.width.div_ceil(32));
+    let mut pixels = Vec::new();
     for (number, line) in text.lines().enumerate() {
         let line = line.split('#').next().unwrap_or_default().trim();
         if line.is_empty() {
@@ -45,9 +44,11 @@ pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<u32>> {
             sensor.width,
             sensor.height
         );
-        words[usize::from(y) * stride + usize::from(x / 32)] |= 1 << (x % 32);
+        pixels.push(pixel);
     }
-    Ok(words)
+    pixels.sort_unstable_by_key(|(x, y)| (*y, *x));
+    pixels.dedup();
+    Ok(pixels)
 }
 
 fn pixel(line: &str) -> Option<(u16, u16)> {
@@ -60,16 +61,16 @@ fn pixel(line: &str) -> Option<(u16, u16)> {
 mod tests {
     use super::*;
 
-    fn of(text: &str) -> Result<Vec<u32>> {
+    fn of(text: &str) -> Result<Vec<(u16, u16)>> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
         read(file.path(), Sensor::new(40, 3).unwrap())
     }
 
     #[test]
-    fn pixels_are_bits_of_their_segments() {
-        let words = of("# hot\n0,0\n33, 2 # east\n\n31\t1\n").unwrap();
-        assert_eq!(words, [1, 0, 1 << 31, 0, 0, 2]);
+    fn pixels_come_once_in_raster_order() {
+        let pixels = of("# hot\n33, 2 # east\n0,0\n\n31\t1\n33 2\n").unwrap();
+        assert_eq!(pixels, [(0, 0), (31, 1), (33, 2)]);
     }
 
     #[test]

@@ -4,6 +4,9 @@
 mod cli_support;
 mod mcu_peer;
 
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -14,9 +17,10 @@ use anyhow::Result;
 use cli_support::{Folder, count, number, text};
 use eecvs_nostd::event_link::{Kind, Setup, Status};
 use eecvs_nostd::{
-    Config, Event, Filter, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, Transform,
-    WindowConfig,
+    Axis, Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, KEY_WINDOWS, Mode, Quantiser,
+    Readout, Sensor, Thresholds, Transform, WindowConfig,
 };
+use host_harness::encode::{Limits, encode as host_encode};
 use host_harness::formats::EventReader;
 use host_harness::mcu::image::{self, ImageSizes};
 use host_harness::mcu::link::{EventPackets, Message};
@@ -67,6 +71,35 @@ fn events() -> Vec<Event> {
     events
 }
 
+/// Events in memory.
+struct Recording(Vec<Event>, host_harness::formats::Skipped);
+impl EventReader for Recording {
+    fn format(&self) -> &'static str {
+        "memory"
+    }
+    fn sensor(&self) -> Sensor {
+        SCENE.sensor
+    }
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        events.append(&mut self.0);
+        Ok(events.len())
+    }
+    fn skipped(&self) -> &host_harness::formats::Skipped {
+        &self.1
+    }
+}
+
+/// The scene as a sensor sees it that reads its columns every 100 us, each half a microsecond after the
+/// one before.
+fn scanned() -> Vec<Event> {
+    let mut events = events();
+    for event in &mut events {
+        event.t_us = event.t_us / 100 * 100 + u64::from(event.x / 2);
+    }
+    events.sort_by_key(|event| event.t_us);
+    events
+}
+
 /// Something to connect to: a peer, or QEMU.
 type Connect<'c> = &'c mut dyn FnMut() -> UnixStream;
 
@@ -74,6 +107,7 @@ fn encode(link: &UnixStream, patience: Duration) -> Result<Outcome> {
     let job = Job {
         open: &open,
         config: config(),
+        hot: &[],
         drop_when_full: false,
     };
     mcu::run(&mut Connection::new(link, patience)?, &job, &|_| ())
@@ -92,6 +126,61 @@ fn identical(link: &UnixStream) -> Outcome {
     assert_eq!(u64::from(outcome.status.events), outcome.events);
     assert!(outcome.ns_per_event().iter().sum::<f64>() > 0.0);
     outcome
+}
+
+/// The dense coder, told the readout, the budget, and three pixels that see the most.
+fn dense(link: &UnixStream) {
+    let events = scanned();
+    let mut counts = BTreeMap::<_, u64>::new();
+    for event in &events {
+        *counts.entry((event.y, event.x)).or_default() += 1;
+    }
+    let mut busiest: Vec<_> = counts.into_iter().collect();
+    busiest.sort_by_key(|(_, count)| Reverse(*count));
+    busiest.truncate(3);
+    let filtered = busiest.iter().map(|(_, count)| count).sum::<u64>();
+    busiest.sort_unstable();
+    let hot: Vec<_> = busiest.iter().map(|((y, x), _)| (*x, *y)).collect();
+    let config = Config {
+        mode: Mode::Hybrid(Hybrid {
+            coder: Coder::Dense,
+            fidelity: Fidelity::Lossless,
+        }),
+        readout: Readout::new(Axis::Columns, 100 << 16, 1 << 15),
+        ..config()
+    };
+    let open = || -> Result<Box<dyn EventReader>> {
+        Ok(Box::new(Recording(events.clone(), Default::default())))
+    };
+    let mut frames = Vec::new();
+    let (limits, threads) = (Limits::default(), NonZeroUsize::MIN);
+    let mut reader = open().expect("a scene");
+    host_encode(
+        reader.as_mut(),
+        config,
+        limits,
+        threads,
+        &mut frames,
+        &mut |_| (),
+    )
+    .expect("frames");
+    let first = Frame::parse(&frames).expect("a frame");
+    assert!(first.header.scans.is_some(), "{:?}", first.header);
+    let job = Job {
+        open: &open,
+        config,
+        hot: &hot,
+        drop_when_full: false,
+    };
+    let mut connection = Connection::new(link, mcu::PATIENCE).expect("a connection");
+    let outcome = mcu::run(&mut connection, &job, &|_| ()).expect("a run");
+    outcome.verdict().expect("identical frames");
+    assert_eq!(outcome.events_filtered, filtered, "{outcome:?}");
+    assert_eq!(outcome.events_encoded + filtered, events.len() as u64);
+    assert_eq!(outcome.status.hot_pixels, 3, "{outcome:?}");
+    assert!(outcome.status.dense_words > 0, "{outcome:?}");
+    // Nothing of it is left for the next run.
+    identical(link);
 }
 
 /// The scene's packets and what ends them.
@@ -207,6 +296,7 @@ fn flood(connect: Connect<'_>) {
             quantiser: Quantiser::new(Quantiser::STEP_LOG2_MIN).expect("in range"),
             ..config()
         },
+        hot: &[],
         drop_when_full: true,
     };
     let link = connect();
@@ -234,6 +324,7 @@ fn frames_of_a_peer_are_the_hosts() {
         ..Behaviour::GOOD
     };
     let small = identical(&Peer::start(small).connect());
+    dense(&Peer::start(Behaviour::GOOD).connect());
     assert!(small.windows > 2 * first.windows, "{small:?}");
     // Again on the same connection.
     let peer = Peer::start(Behaviour::GOOD);
@@ -336,7 +427,10 @@ fn an_encoder_that_fails_ends_the_run() {
         ),
         (Fault::Close(1), "encoder"),
         (Fault::Status, "another layout"),
-        (Fault::Refuse, "no memory for a sensor of 48 x 36 pixels"),
+        (
+            Fault::Refuse,
+            "48 x 36 pixels: it has no memory for windows of this sensor",
+        ),
         (Fault::NoWindow, "windows of 0 events"),
     ] {
         let behaviour = Behaviour {
@@ -348,6 +442,20 @@ fn an_encoder_that_fails_ends_the_run() {
         let error = format!("{:#}", error.expect_err("a fault"));
         assert!(error.contains(part), "{fault:?}: {error}");
     }
+    let full = Behaviour {
+        fault: Fault::RefuseHot,
+        ..Behaviour::GOOD
+    };
+    let peer = Peer::start(full);
+    let link = peer.connect();
+    let mut connection = Connection::new(&link, mcu::PATIENCE).expect("a connection");
+    mcu::set_up(&mut connection, &Setup::new(&config(), 0)).expect("a setup");
+    let error = mcu::keep_out(&mut connection, SCENE.sensor, &[(3, 0), (1, 7)]);
+    let error = error.expect_err("a pixel too many").to_string();
+    assert!(
+        error.contains("keeps 1 of 2 hot pixels out: it has no memory for more"),
+        "{error}"
+    );
     let deaf = Behaviour {
         deaf_to: u32::MAX,
         ..Behaviour::GOOD
@@ -364,22 +472,6 @@ fn an_encoder_that_fails_ends_the_run() {
 /// A recording that cannot be sent whole is not sent at all.
 #[test]
 fn times_that_words_cannot_carry_are_named() {
-    struct Recording(Vec<Event>, host_harness::formats::Skipped);
-    impl EventReader for Recording {
-        fn format(&self) -> &'static str {
-            "memory"
-        }
-        fn sensor(&self) -> Sensor {
-            SCENE.sensor
-        }
-        fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
-            events.append(&mut self.0);
-            Ok(events.len())
-        }
-        fn skipped(&self) -> &host_harness::formats::Skipped {
-            &self.1
-        }
-    }
     let period = 1_u64 << 34;
     let times = [
         period + 5,
@@ -404,6 +496,7 @@ fn times_that_words_cannot_carry_are_named() {
     let job = Job {
         open: &open,
         config: config(),
+        hot: &[],
         drop_when_full: false,
     };
     let mut connection = Connection::new(&link, mcu::PATIENCE).expect("a connection");
@@ -478,8 +571,10 @@ fn every_machines_frames_are_the_hosts() {
         Machine::Mps2An500,
     ] {
         on(machine, |connect| {
-            let outcome = identical(&connect());
+            let link = connect();
+            let outcome = identical(&link);
             assert!(outcome.status.stack_bytes > 0, "{outcome:?}");
+            dense(&link);
         });
     }
 }

@@ -7,13 +7,13 @@ use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
 use eecvs_nostd::{
     Coder, Config, Fidelity, Filter, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN,
-    Quantiser, Region, Transform, WindowConfig,
+    Quantiser, Region, Sensor, Transform, WindowConfig,
 };
 
 use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json, rows};
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
-use crate::formats;
+use crate::formats::{self, EventReader};
 use crate::hot_pixels;
 use crate::output_file::{OutputFile, refuse_same_file};
 use crate::progress::Progress;
@@ -36,10 +36,6 @@ pub struct Encode {
     /// alone, which is exact. A decoder need not know: coefficients differ by the kernel's error
     #[arg(long, value_enum, value_name = "NAME", default_value = "table")]
     kernel: KernelName,
-
-    /// Never send the pixels of a text file of lines x,y
-    #[arg(long, value_name = "FILE")]
-    hot_pixels: Option<PathBuf>,
 
     #[command(flatten)]
     limits: LimitOptions,
@@ -88,6 +84,10 @@ pub struct CodecOptions {
     /// Send only the pixels of a rectangle: first column and row, columns, rows
     #[arg(long, value_name = "X,Y,W,H", value_parser = region)]
     region: Option<Region>,
+
+    /// Never send the pixels of a text file of lines x,y
+    #[arg(long, value_name = "FILE")]
+    hot_pixels: Option<PathBuf>,
 
     /// Leave out events that are alone: no other in their pixel and its eight neighbours in the window
     #[arg(long)]
@@ -236,7 +236,7 @@ impl CodecOptions {
     ///
     /// # Errors
     /// A thresholds file that cannot be read.
-    pub fn config(&self, sensor: eecvs_nostd::Sensor) -> Result<Config> {
+    pub fn config(&self, sensor: Sensor) -> Result<Config> {
         let fidelity = match (self.time_tolerance_us, self.bins) {
             (None | Some(0), None) => Fidelity::Lossless,
             (Some(tolerance_us), _) => Fidelity::ToleranceUs(tolerance_us),
@@ -290,6 +290,33 @@ impl CodecOptions {
     }
 }
 
+impl CodecOptions {
+    /// The reader, and the configuration with the readout that its first events show, where it is
+    /// looked for.
+    #[must_use]
+    pub fn look(
+        &self,
+        reader: Box<dyn EventReader>,
+        config: Config,
+    ) -> (Box<dyn EventReader>, Config) {
+        match self.scans {
+            ScanName::Auto => readout::look(reader, config),
+            ScanName::Off => (reader, config),
+        }
+    }
+
+    /// The pixels that are never sent.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn hot_pixels(&self, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
+        match &self.hot_pixels {
+            Some(path) => hot_pixels::read(path, sensor),
+            None => Ok(Vec::new()),
+        }
+    }
+}
+
 impl LimitOptions {
     /// Sizes of windows and frames.
     #[must_use]
@@ -297,6 +324,7 @@ impl LimitOptions {
         Limits {
             window_events: self.window_events as usize,
             frame_bytes: self.frame_bytes as usize,
+            dense_words: usize::MAX,
         }
     }
 }
@@ -309,14 +337,8 @@ impl Encode {
     pub fn run(self) -> Result<()> {
         let reader = formats::open(&self.input, self.size.sensor())?;
         let config = self.codec.config(reader.sensor())?;
-        let (mut reader, config) = match self.codec.scans {
-            ScanName::Auto => readout::look(reader, config),
-            ScanName::Off => (reader, config),
-        };
-        let hot = match &self.hot_pixels {
-            Some(path) => hot_pixels::read(path, reader.sensor())?,
-            None => Vec::new(),
-        };
+        let (mut reader, config) = self.codec.look(reader, config);
+        let hot = self.codec.hot_pixels(reader.sensor())?;
         let codec = Codec {
             hot: &hot,
             config,

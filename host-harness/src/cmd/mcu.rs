@@ -132,8 +132,9 @@ impl Mcu {
     /// stalls, frames that differ, events that are lost.
     pub fn run(self) -> Result<()> {
         let open = || self.open();
-        let sensor = open()?.sensor();
-        let config = self.codec.config(sensor)?;
+        let reader = open()?;
+        let sensor = reader.sensor();
+        let (_, config) = self.codec.look(reader, self.codec.config(sensor)?);
         ensure!(
             !config.keep_order,
             "--keep-order is for eecvs encode: the image has no memory for it"
@@ -141,6 +142,7 @@ impl Mcu {
         let job = Job {
             open: &open,
             config,
+            hot: &self.codec.hot_pixels(sensor)?,
             drop_when_full: self.drop_when_full,
         };
         let image = match &self.image {
@@ -229,9 +231,15 @@ fn table(report: &Report, outcome: &Outcome) -> String {
     };
     rows([
         ("machine", format!("{} (emulated)", report.machine)),
+        ("hot pixels", status.hot_pixels.to_string()),
         ("events", report.events.to_string()),
         ("  encoded", outcome.events_encoded.to_string()),
         ("  late", outcome.events_late.to_string()),
+        ("  filtered", outcome.events_filtered.to_string()),
+        (
+            "  left out by the rate control",
+            outcome.events_thinned.to_string(),
+        ),
         ("  lost", report.events_lost.to_string()),
         ("windows", report.windows.to_string()),
         ("  events at most", status.window_events.to_string()),

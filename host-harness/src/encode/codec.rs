@@ -10,8 +10,8 @@ pub struct Codec<'h> {
     pub config: Config,
     /// Kernel of the DCT and the DTFT. The Haar transform has one alone.
     pub kernel: Kernel,
-    /// Pixels that are never sent: see [`eecvs_nostd::Scratch::hot`].
-    pub hot: &'h [u32],
+    /// Pixels that are never sent, column and row.
+    pub hot: &'h [(u16, u16)],
 }
 
 impl From<Config> for Codec<'_> {

@@ -131,6 +131,8 @@ pub struct Limits {
     pub window_events: usize,
     /// Bytes of a frame, [`OUTPUT_BYTES_MIN`] to [`eecvs_nostd::FRAME_BYTES_MAX`].
     pub frame_bytes: usize,
+    /// Words of the dense coder's rows, where that is less than it has use for.
+    pub dense_words: usize,
 }
 
 impl Default for Limits {
@@ -138,6 +140,7 @@ impl Default for Limits {
         Self {
             window_events: WINDOW_EVENTS,
             frame_bytes: eecvs_nostd::FRAME_BYTES_MAX,
+            dense_words: usize::MAX,
         }
     }
 }
@@ -202,7 +205,7 @@ fn encode_here(
     out: &mut dyn Write,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Outcome> {
-    let mut storage = HostStorage::new(codec.config.window.sensor, limits.window_events);
+    let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits);
     let (mut windows, mut encoder) = storage.parts(codec.config, codec.hot)?;
     let window = windows.first_mut().context("the memory has no window")?;
     let mut cutter = Cutter::new(Direct(reader));

@@ -113,7 +113,7 @@ pub fn encode(
     let chained = codec.chained();
     let windows = chained.map_or(WINDOWS, |key_windows| usize::from(key_windows).max(1));
     let mut storages: Vec<_> = (0..threads.get())
-        .map(|_| HostStorage::with_windows(windows, sensor, limits.window_events))
+        .map(|_| HostStorage::with_windows(windows, sensor, limits))
         .collect();
     let encoders: Vec<_> = storages
         .iter_mut()

@@ -1,6 +1,6 @@
 //! Memory of an encoder on the host.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::arrival;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
 use eecvs_nostd::coder::model::Model;
@@ -13,6 +13,8 @@ use eecvs_nostd::{
 };
 use zerocopy::{FromBytes, IntoBytes};
 
+use super::Limits;
+
 /// Memory of an encoder on the host, whose capacity is chosen at run time.
 #[derive(Debug)]
 pub struct HostStorage {
@@ -23,6 +25,7 @@ pub struct HostStorage {
     model: Box<Model>,
     words: Vec<u32>,
     order: Vec<u32>,
+    hot: Vec<u32>,
 }
 
 /// Buffers of a window.
@@ -77,7 +80,11 @@ impl HostStorage {
     /// Memory for a sensor and `window_events` events of a window, for any transform and grid.
     #[must_use]
     pub fn new(sensor: Sensor, window_events: usize) -> Self {
-        Self::with_windows(1, sensor, window_events)
+        let limits = Limits {
+            window_events,
+            ..Limits::default()
+        };
+        Self::with_windows(1, sensor, limits)
     }
 
     /// With no more words for the dense coder than a microcontroller has: the window before fits for
@@ -90,18 +97,19 @@ impl HostStorage {
 
     /// As [`Self::new`], with buffers for several windows.
     #[must_use]
-    pub(super) fn with_windows(windows: usize, sensor: Sensor, window_events: usize) -> Self {
+    pub(super) fn with_windows(windows: usize, sensor: Sensor, limits: Limits) -> Self {
         let numbers = 2 * GRID_MAX;
         Self {
             windows: (0..windows)
-                .map(|_| WindowMemory::new(sensor, window_events))
+                .map(|_| WindowMemory::new(sensor, limits.window_events))
                 .collect(),
             sums: vec![Sum::ZERO; numbers],
             totals: vec![WideSum::ZERO; numbers],
             magnitudes: vec![0; numbers],
             model: Box::new(Model::UNSET),
-            words: vec![0; words(sensor, true)],
+            words: vec![0; words(sensor, true).min(limits.dense_words)],
             order: Vec::new(),
+            hot: Vec::new(),
         }
     }
 
@@ -110,25 +118,34 @@ impl HostStorage {
     /// # Errors
     /// A window of 0 us or of no events, M or K out of range.
     pub fn encoder(&mut self, config: Config) -> Result<Encoder<'_>> {
-        let (mut windows, encoder) = self.parts(config, &[])?;
+        self.encoder_without(config, &[])
+    }
+
+    /// The same without the pixels `hot`, columns and rows.
+    ///
+    /// # Errors
+    /// As [`Self::encoder`]; a pixel that is not on the sensor.
+    pub fn encoder_without(&mut self, config: Config, hot: &[(u16, u16)]) -> Result<Encoder<'_>> {
+        let (mut windows, encoder) = self.parts(config, hot)?;
         let window = windows.pop().context("the memory has no window")?;
         Ok(Encoder::new(window, encoder))
     }
 
     /// Every window, and the encoder of them, over this memory, which is cleared; without the pixels
-    /// [`Scratch::hot`].
+    /// `hot`, columns and rows.
     ///
     /// # Errors
     /// As [`Self::encoder`].
     pub(super) fn parts<'s>(
         &'s mut self,
         config: Config,
-        hot: &'s [u32],
+        hot: &[(u16, u16)],
     ) -> Result<(Vec<Window<'s>>, WindowEncoder<'s>)> {
         if config.keep_order {
             let slots = self.windows.first().map_or(0, WindowMemory::slots);
             self.order = vec![0; arrival::words(slots)];
         }
+        self.hot.resize(hot.len(), 0);
         let windows: Option<Vec<_>> = self
             .windows
             .iter_mut()
@@ -146,11 +163,19 @@ impl HostStorage {
                 model: &mut self.model,
                 words: &mut self.words,
             }),
-            hot,
+            hot: &mut self.hot,
             order: &mut self.order,
         };
         match WindowEncoder::new(config, scratch) {
-            Ok(encoder) => Ok((windows, encoder)),
+            Ok(mut encoder) => {
+                for (x, y) in hot {
+                    ensure!(
+                        encoder.add_hot((*x, *y)).is_ok(),
+                        "the hot pixel {x},{y} is not on the sensor"
+                    );
+                }
+                Ok((windows, encoder))
+            }
             Err(error) => bail!(
                 "M must be 1 to 64, the grid 1 to 1024, bins 1 or more, a budget is for mode hybrid \
                  and of some 146 bytes a window at the least, and so is the order of events ({error:?} is not)"

@@ -12,7 +12,7 @@ use crate::reconstruct::hybrid::HybridDecoder;
 
 /// The account of a run.
 pub struct Account {
-    /// The answer to the setup: counts run from there.
+    /// The last answer before the first event: counts run from there.
     begin: Status,
     /// Damaged bytes before that answer: none of this run's.
     damaged_before: u64,
@@ -62,10 +62,11 @@ impl Account {
     fn answer(&mut self, status: Status, damaged_bytes: u64) -> Result<ControlFlow<()>> {
         const SETUP: u8 = Kind::Setup as u8;
         const FLUSH: u8 = Kind::Flush as u8;
+        const HOT: u8 = Kind::Hot as u8;
         match status.answers {
-            // The answer to a setup that was sent again: it was sent before every event, so
+            // The answer to a setup, or to hot pixels, that were sent again: before every event, so
             // whatever came until now is none of this run's.
-            SETUP => {
+            SETUP | HOT => {
                 let expected = self.expected.take();
                 *self = Self::new(status, damaged_bytes, expected);
                 Ok(ControlFlow::Continue(()))

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `connection.rs` | a stream of bytes, both ways at once; a serial port would be another |
 //! | `link.rs` | the packets and frames on it |
+//! | `setting_up.rs` | the setup and the hot pixels, until the encoder answers |
 //! | `account.rs` | what came back, frame by frame |
 //! | `qemu.rs` | the emulated machine at the other end |
 //! | `image.rs` | the firmware image: building it, its sizes |
@@ -17,28 +18,25 @@ pub mod image;
 pub mod link;
 pub mod log;
 pub mod qemu;
+mod setting_up;
 
-use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
-use eecvs_nostd::event_link::{Kind, PACKET_BYTES_MAX, Setup, Status};
+use eecvs_nostd::event_link::{Kind, Setup, Status};
 use eecvs_nostd::evt2::Evt2Encoder;
-use eecvs_nostd::window::EVENTS_MAX;
-use eecvs_nostd::{Config, FRAME_BYTES_MAX, OUTPUT_BYTES_MIN, Scan, scan};
+use eecvs_nostd::{Config, Scan, scan};
 
-use crate::encode::{Limits, all_cores, encode};
+use crate::encode::{Codec, Limits, all_cores, encode};
 use crate::formats::EventReader;
 use account::Account;
 use connection::Sender;
 pub use connection::{Connection, Link};
-use link::{EventPackets, Message, packet};
+use link::{EventPackets, Message};
+pub use setting_up::{keep_out, set_up};
 
 /// How long nothing may move before an encoder is taken for dead.
 pub const PATIENCE: Duration = Duration::from_secs(20);
-/// Time between two setups: a UART that is not ready yet loses the first.
-const RETRY: Duration = Duration::from_secs(1);
 /// Events that are put into packets at a time.
 const CHUNK_EVENTS: usize = 1 << 10;
 /// Period of the time in EVT 2.0 words.
@@ -50,6 +48,8 @@ pub struct Job<'j> {
     pub open: &'j (dyn Fn() -> Result<Box<dyn EventReader>> + Sync),
     /// How to encode it.
     pub config: Config,
+    /// Pixels that are never sent, each once, in raster order: column and row.
+    pub hot: &'j [(u16, u16)],
     /// Whether the encoder drops events while it has no room, rather than hold the link.
     pub drop_when_full: bool,
 }
@@ -132,9 +132,12 @@ pub fn run(
         setup.when_full = Setup::DROP;
     }
     let status = set_up(connection, &setup)?;
+    let told = keep_out(connection, job.config.window.sensor, job.hot)?;
+    let status = told.unwrap_or(status);
     let limits = Limits {
         window_events: status.window_events as usize,
         frame_bytes: status.frame_bytes as usize,
+        dense_words: status.dense_words as usize,
     };
     let expected = if job.drop_when_full {
         None
@@ -195,72 +198,6 @@ impl Plan {
     }
 }
 
-/// Sets an encoder up, and again until it answers; everything that comes before is left over from
-/// another run and is thrown away.
-///
-/// # Errors
-/// No answer for as long as the connection's patience, a refusal, an answer that makes no sense.
-pub fn set_up(connection: &mut Connection, setup: &Setup) -> Result<Status> {
-    let mut body = [0; 96];
-    let Ok(length) = setup.write(&mut body) else {
-        bail!("the setup does not fit its packet");
-    };
-    let setup_packet = packet(Kind::Setup, 0, &body[..length])?;
-    let patience = connection.patience();
-    let mut answer = None;
-    let greeted = AtomicBool::new(false);
-    connection.exchange(
-        |sender| {
-            sender.send(&setup_packet)?;
-            let started = Instant::now();
-            while started.elapsed() < patience {
-                sender.pause(RETRY.min(patience), || {
-                    greeted.swap(false, Ordering::Relaxed)
-                });
-                if sender.is_stopped() {
-                    return Ok(());
-                }
-                // Ends a packet that an earlier connection left unfinished.
-                sender.send(&[0; PACKET_BYTES_MAX])?;
-                sender.send(&setup_packet)?;
-            }
-            bail!(
-                "no answer to the setup for {} s: is this the encoder's image?",
-                patience.as_secs_f32()
-            )
-        },
-        |message, _| {
-            match status_of(&message)? {
-                Some(status) if status.answers == Kind::Setup as u8 => {
-                    answer = Some(status);
-                    return Ok(ControlFlow::Break(()));
-                }
-                // It has just started: the first setup may have come too early.
-                Some(Status { answers: 0, .. }) => greeted.store(true, Ordering::Relaxed),
-                _ => {}
-            }
-            Ok(ControlFlow::Continue(()))
-        },
-    )?;
-    let status = answer.context("the encoder did not answer the setup")?;
-    ensure!(
-        status.running,
-        "the encoder refuses the setup: it has no memory for a sensor of {} x {} pixels, or for \
-         this M and grid",
-        setup.width,
-        setup.height
-    );
-    let frame_bytes = status.frame_bytes as usize;
-    ensure!(
-        (1..=EVENTS_MAX).contains(&(status.window_events as usize))
-            && (OUTPUT_BYTES_MIN..=FRAME_BYTES_MAX).contains(&frame_bytes),
-        "the encoder claims windows of {} events and frames of {frame_bytes} bytes",
-        status.window_events
-    );
-    connection.incoming().limit_frames(frame_bytes);
-    Ok(status)
-}
-
 /// The status that a message is.
 fn status_of(message: &Message) -> Result<Option<Status>> {
     match message {
@@ -303,7 +240,10 @@ fn host_frames(job: &Job<'_>, limits: Limits) -> Result<Vec<Vec<u8>>> {
     let mut bytes = Vec::new();
     encode(
         (job.open)()?.as_mut(),
-        job.config,
+        Codec {
+            hot: job.hot,
+            ..job.config.into()
+        },
         limits,
         all_cores(),
         &mut bytes,

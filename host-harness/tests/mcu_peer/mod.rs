@@ -6,7 +6,10 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::PathBuf;
 use std::thread;
 
-use eecvs_nostd::event_link::{Kind, PACKET_BYTES_MAX, Packet, Receiver, Setup, Status};
+use eecvs_nostd::coder::dense;
+use eecvs_nostd::event_link::{
+    FIELDS_BYTES_MAX, HotNumbers, Kind, PACKET_BYTES_MAX, Packet, Receiver, Refusal, Setup, Status,
+};
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{Encoder, Push};
 use host_harness::encode::HostStorage;
@@ -39,6 +42,8 @@ pub enum Fault {
     Status,
     /// The sensor is too large.
     Refuse,
+    /// There is no memory for the second hot pixel.
+    RefuseHot,
     /// It holds no window.
     NoWindow,
 }
@@ -160,7 +165,7 @@ impl Board {
         status.frame_bytes = self.behaviour.frame_bytes;
         status.frames +=
             u32::from(self.behaviour.fault == Fault::Miscount && kind == Some(Kind::Flush));
-        let mut body = [0; 96];
+        let mut body = [0; FIELDS_BYTES_MAX];
         let mut length = status.write(&mut body).expect("a short status");
         length -= usize::from(self.behaviour.fault == Fault::Status);
         let mut bytes = [0; PACKET_BYTES_MAX];
@@ -199,7 +204,10 @@ impl Board {
         } else {
             self.status = Status::default();
         }
+        self.status.dense_words = dense::words(config.window.sensor, true) as u32;
+        self.status.refusal = refused.then_some(Refusal::Windows);
         self.answer(Some(Kind::Setup), !refused);
+        let mut hot = Vec::new();
         let (mut events, mut packets) = (0_u32, 0_u32);
         loop {
             let (kind, position, body) = self.packet();
@@ -210,6 +218,21 @@ impl Board {
             events = position;
             self.status.lost += lost;
             encoder.window().count_dropped(lost);
+            if kind == Kind::Hot {
+                let mut numbers = HotNumbers::START;
+                let sensor = config.window.sensor;
+                let read = std::iter::from_fn(|| numbers.read(&body));
+                hot.extend(read.map(|number| sensor.pixel(number).expect("on the sensor")));
+                if self.behaviour.fault == Fault::RefuseHot {
+                    hot.truncate(1);
+                    self.status.refusal = Some(Refusal::HotRoom);
+                }
+                encoder = storage
+                    .encoder_without(config, &hot)
+                    .expect("a setup that can run");
+                self.status.hot_pixels = hot.len() as u32;
+                self.answer(Some(Kind::Hot), true);
+            }
             if kind == Kind::Flush {
                 encoder.flush();
                 self.frames(&mut encoder, &mut out)?;

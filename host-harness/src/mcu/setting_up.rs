@@ -1,0 +1,153 @@
+//! What an encoder is told before the first event: the setup and the hot pixels, each sent again until it
+//! answers.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use eecvs_nostd::event_link::{
+    BODY_BYTES_MAX, FIELDS_BYTES_MAX, HotNumbers, Kind, PACKET_BYTES_MAX, Refusal, Setup, Status,
+};
+use eecvs_nostd::window::EVENTS_MAX;
+use eecvs_nostd::{FRAME_BYTES_MAX, OUTPUT_BYTES_MIN, Sensor};
+
+use super::connection::Connection;
+use super::link::packet;
+use super::status_of;
+
+/// Time between two packets: a UART that is not ready yet loses the first.
+const RETRY: Duration = Duration::from_secs(1);
+
+/// Sets an encoder up, and again until it answers; everything that comes before is left over from
+/// another run and is thrown away.
+///
+/// # Errors
+/// No answer for as long as the connection's patience, a refusal, an answer that makes no sense.
+pub fn set_up(connection: &mut Connection, setup: &Setup) -> Result<Status> {
+    let mut body = [0; FIELDS_BYTES_MAX];
+    let Ok(length) = setup.write(&mut body) else {
+        bail!("the setup does not fit its packet");
+    };
+    let status = ask(connection, Kind::Setup, &body[..length])?;
+    ensure!(
+        status.running,
+        "the encoder refuses the setup for {} x {} pixels: {}",
+        setup.width,
+        setup.height,
+        status.refusal.map_or("it does not say why", reason)
+    );
+    let frame_bytes = status.frame_bytes as usize;
+    ensure!(
+        (1..=EVENTS_MAX).contains(&(status.window_events as usize))
+            && (OUTPUT_BYTES_MIN..=FRAME_BYTES_MAX).contains(&frame_bytes),
+        "the encoder claims windows of {} events and frames of {frame_bytes} bytes",
+        status.window_events
+    );
+    connection.incoming().limit_frames(frame_bytes);
+    Ok(status)
+}
+
+/// Tells an encoder that was set up which pixels, each once and in raster order, it never sends; returns
+/// its last answer, if there are any.
+///
+/// # Errors
+/// As of [`set_up`]; pixels that it has no memory for.
+pub fn keep_out(
+    connection: &mut Connection,
+    sensor: Sensor,
+    pixels: &[(u16, u16)],
+) -> Result<Option<Status>> {
+    let mut rest = pixels;
+    let (mut told, mut last) = (0, None);
+    while !rest.is_empty() {
+        let (mut body, mut numbers) = ([0; BODY_BYTES_MAX], HotNumbers::START);
+        let fits = rest
+            .iter()
+            .take_while(|pixel| numbers.write(sensor.number(**pixel), &mut body))
+            .count();
+        ensure!(fits > 0, "hot pixels come in raster order");
+        rest = &rest[fits..];
+        told += fits;
+        let status = ask(connection, Kind::Hot, &body[..numbers.bytes()])?;
+        let held = status.hot_pixels as usize;
+        ensure!(
+            status.refusal.is_none() && held == told,
+            "the encoder keeps {held} of {} hot pixels out: {}",
+            pixels.len(),
+            status.refusal.map_or("some were lost", reason)
+        );
+        last = Some(status);
+    }
+    Ok(last)
+}
+
+/// Sends a packet, and again until it is answered; it comes before all events.
+fn ask(connection: &mut Connection, kind: Kind, body: &[u8]) -> Result<Status> {
+    let what = match kind {
+        Kind::Hot => "hot pixels",
+        _ => "setup",
+    };
+    let question = packet(kind, 0, body)?;
+    // The zeros end a packet that an earlier connection left unfinished. At once: an answer between the two
+    // would leave them to be counted as damage that nothing tells from the run's.
+    let again = [&[0; PACKET_BYTES_MAX][..], &question].concat();
+    let patience = connection.patience();
+    let mut answer = None;
+    let greeted = AtomicBool::new(false);
+    connection.exchange(
+        |sender| {
+            sender.send(&question)?;
+            let started = Instant::now();
+            while started.elapsed() < patience {
+                sender.pause(RETRY.min(patience), || {
+                    greeted.swap(false, Ordering::Relaxed)
+                });
+                if sender.is_stopped() {
+                    return Ok(());
+                }
+                sender.send(&again)?;
+            }
+            bail!(
+                "no answer to the {what} for {} s: is this the encoder's image?",
+                patience.as_secs_f32()
+            )
+        },
+        |message, _| {
+            match status_of(&message)? {
+                Some(status) if status.answers == kind as u8 => {
+                    answer = Some(status);
+                    return Ok(ControlFlow::Break(()));
+                }
+                // It has just started: the first packet may have come too early.
+                Some(Status { answers: 0, .. }) => greeted.store(true, Ordering::Relaxed),
+                _ => {}
+            }
+            Ok(ControlFlow::Continue(()))
+        },
+    )?;
+    answer.with_context(|| format!("the encoder did not answer the {what}"))
+}
+
+const fn reason(refusal: Refusal) -> &'static str {
+    match refusal {
+        Refusal::Sensor => "a side of the sensor is out of its range",
+        Refusal::Thresholds => "the thresholds are in the wrong order",
+        Refusal::Transform => "it has no such transform",
+        Refusal::Step => "the step is out of its range",
+        Refusal::Mode => "it has no such mode or fidelity",
+        Refusal::Readout => "no sensor scans like that",
+        Refusal::Flag => "a flag is neither 0 nor 1",
+        Refusal::M => "M must be 1 to 64",
+        Refusal::Grid => "the grid must be 1 to 1024",
+        Refusal::Numbers => "it has no memory for this M and grid",
+        Refusal::Dense => "it has no memory for the dense coder on this sensor",
+        Refusal::Bins => "bins must be 1 or more",
+        Refusal::Rate => "the budget is too small, or not for mode hybrid",
+        Refusal::Windows => "it has no memory for windows of this sensor, or they are of 0 us",
+        Refusal::HotOutside => "one is not on the sensor",
+        Refusal::HotRoom => "it has no memory for more",
+        Refusal::HotUnset => "they came before a setup",
+        Refusal::Order => "it cannot keep the order of events",
+    }
+}
