@@ -4,6 +4,8 @@ use crate::coder::Times;
 use crate::coder::big_bits::BigWriter;
 use crate::coder::content::{Content, Node};
 use crate::coder::dense::Dense;
+#[cfg(eecvs_dsp)]
+use crate::coder::dense_dsp::Parts;
 use crate::coder::fast::{Fast, ROOM_WORDS, Unordered};
 use crate::coder::range::RangeEncoder;
 #[cfg(eecvs_dsp)]
@@ -288,6 +290,24 @@ impl Content for Pixels<'_, '_, '_, '_> {
     #[inline(always)]
     fn is_over(&self) -> bool {
         self.left == 0
+    }
+
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    fn parts(&mut self) -> Option<Parts<'_>> {
+        if !self.encoder.times.are_plain() {
+            return None;
+        }
+        *self.encoder.is_rest = false;
+        Some(Parts {
+            entries: &mut self.encoder.group.entries,
+            columns: &mut self.encoder.group.columns,
+            slots: self.encoder.window.slots(),
+            left: &mut self.left,
+            pixel: &mut self.pixel,
+            at: &mut self.at,
+            rest: &mut self.rest,
+        })
     }
 
     #[inline(always)]

@@ -33,6 +33,11 @@ pub trait Content {
     fn take(&mut self, cell: u32, on: bool);
     /// Whether all events have been coded: both sides know.
     fn is_over(&self) -> bool;
+    /// The same for a walk that looks at an encoder's events itself, where they are told as they are.
+    #[cfg(eecvs_dsp)]
+    fn parts(&mut self) -> Option<super::dense_dsp::Parts<'_>> {
+        None
+    }
     /// An event of the pixels coded so far; `None` for [`END`].
     fn at(&self, list: u32) -> Option<Node>;
 }

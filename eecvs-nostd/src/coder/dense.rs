@@ -11,6 +11,8 @@
 //! One function codes both ways. Time per event is bounded; memory is what was lent.
 
 use super::content::Content;
+#[cfg(eecvs_dsp)]
+use super::dense_dsp;
 pub(crate) use super::dense_times::EVENT_BYTES_MAX;
 use super::dense_times::{Clock, Following, Neighbour};
 use super::model::Model;
@@ -304,6 +306,25 @@ impl<'b> Dense<'b> {
         let columns = (usize::from(self.sensor.width) - 32 * segment).min(32) as u32;
         let told = content.columns();
         let mut i = 0;
+        #[cfg(eecvs_dsp)]
+        if following == Following::Not {
+            let lists = (&mut *self.lists, &mut *self.lasts);
+            let place = ((32 * segment) as u16, y as u16);
+            let clock = &mut frame.clock;
+            let seen = (&seen, columns);
+            let walked = dense_dsp::walk(coder, content, self.model, lists, seen, place, clock);
+            if let Some(walked) = walked {
+                frame.coded.events += walked.events;
+                frame.coded.pixels += walked.occupied.count_ones();
+                made.occupied = walked.occupied;
+                made.first_on = walked.first_on;
+                made.last_on = walked.last_on;
+                if !walked.goes_on {
+                    return false;
+                }
+                i = walked.column;
+            }
+        }
         while i < columns {
             // One that has events comes at last.
             let quiet = seen.quiet(made.occupied, i, columns);

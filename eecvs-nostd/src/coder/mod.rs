@@ -9,6 +9,8 @@ pub mod cells;
 pub mod chain;
 pub mod content;
 pub mod dense;
+#[cfg(eecvs_dsp)]
+pub(crate) mod dense_dsp;
 mod dense_times;
 pub mod fast;
 pub mod model;

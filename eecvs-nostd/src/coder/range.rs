@@ -20,7 +20,7 @@ const COUNT_BITS: u32 = 3;
 const COUNT_MASK: u32 = (1 << COUNT_BITS) - 1;
 /// How far a decision moves the probability, by the decisions before it, in units of 2^-16: from a
 /// half to 1/50. The lowest three bits, too small to matter there, are the count that comes next.
-const RATES: [u16; 1 << COUNT_BITS] = {
+pub(super) const RATES: [u16; 1 << COUNT_BITS] = {
     let rates = [32768, 21845, 16384, 10923, 8192, 5461, 3641, 1311];
     let mut next = [0; 1 << COUNT_BITS];
     let mut count = 0;
@@ -90,6 +90,12 @@ pub trait Binary {
 
     /// Whether there is room for so many bytes more; of a decoder, whether all it read was there.
     fn has_room(&self, bytes: usize) -> bool;
+
+    /// An encoder's state.
+    #[cfg(eecvs_dsp)]
+    fn parts(&mut self) -> Option<RangeParts<'_>> {
+        None
+    }
 }
 
 /// What the shares of a table's symbols add up to.
@@ -122,7 +128,16 @@ pub struct RangeEncoder<'o> {
 }
 
 /// Bytes that [`RangeEncoder::finish`] writes at the most.
-const FINISH_BYTES: usize = 4;
+pub(super) const FINISH_BYTES: usize = 4;
+
+/// An encoder's state, for a walk that has it in registers.
+#[cfg(eecvs_dsp)]
+pub struct RangeParts<'r> {
+    pub(super) out: &'r mut [u8],
+    pub(super) len: &'r mut usize,
+    pub(super) low: &'r mut u32,
+    pub(super) range: &'r mut u32,
+}
 
 impl<'o> RangeEncoder<'o> {
     /// An encoder at the start of `out`.
@@ -284,6 +299,17 @@ impl Binary for RangeEncoder<'_> {
     #[inline(always)]
     fn has_room(&self, bytes: usize) -> bool {
         self.len + FINISH_BYTES + bytes <= self.out.len()
+    }
+
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    fn parts(&mut self) -> Option<RangeParts<'_>> {
+        Some(RangeParts {
+            out: self.out,
+            len: &mut self.len,
+            low: &mut self.low,
+            range: &mut self.range,
+        })
     }
 }
 

@@ -1,0 +1,1024 @@
+//! The dense coder's walk over a segment's columns and their pixels' events, with the range coder's state
+//! in registers: what [`crate::coder::dense`] and [`crate::coder::dense_times`] code, to the bit.
+//!
+//! The compiler has fewer registers than the walk has state and keeps most of it on the stack. What an
+//! encoder knows beforehand also makes the walk shorter: which column is the next with events, so that
+//! the quiet ones before it need not be looked up, and what all columns see. The assembly leaves to the
+//! loop in Rust what it would have to look at twice: events out of order, and the end of the output.
+#![allow(unsafe_code)]
+
+use core::arch::naked_asm;
+use core::marker::PhantomData;
+use core::mem::offset_of;
+
+use super::dense_times::{
+    COARSE, Clock, DISTANCES, EVENT_BYTES_MAX, FIRST_BITS, FIRST_SYMBOLS, LASTS, OF_LAST,
+    OF_LAST_LATE, OF_LAST_MORE, RESTS,
+};
+use super::model::Model;
+use super::neighbourhood::Columns;
+use super::range::{Binary, FINISH_BYTES, Probability, RATES};
+use super::symbols::Symbols;
+use crate::coder::content::Content;
+use crate::group::{Entry, Pixel};
+use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
+
+/// A segment's events as grouped, and what is left of the window's.
+pub struct Parts<'p> {
+    pub(crate) entries: &'p mut [Entry; 32],
+    /// Columns of the segment that have events.
+    pub(crate) columns: &'p mut u32,
+    pub(crate) slots: &'p mut [Slot],
+    /// Events left of the window.
+    pub(crate) left: &'p mut u32,
+    /// The pixel at which the output is full, its next slot, and whether there is one.
+    pub(crate) pixel: &'p mut Option<Pixel>,
+    pub(crate) at: &'p mut u32,
+    pub(crate) rest: &'p mut u32,
+}
+
+/// What was made of a segment.
+pub struct Walked {
+    /// The first column that was not visited, all of them where that is 32.
+    pub column: u32,
+    pub occupied: u32,
+    pub first_on: u32,
+    pub last_on: u32,
+    pub events: u32,
+    /// Whether the frame goes on.
+    pub goes_on: bool,
+}
+
+/// What the assembly knows; it addresses all from `rates` on.
+#[repr(C)]
+struct Walk<'b> {
+    // What the columns see.
+    west: u32,
+    north_west: u32,
+    north: u32,
+    north_east: u32,
+    far_north: u32,
+    /// Whether any neighbour has events.
+    busy: u32,
+    rates: [u16; 8],
+    /// Weights of four neighbours in a polarity's context, by whether they have events.
+    weights: [u8; 16],
+    /// Of the last distance's bits: twice the context of the next, where at least half of the window is
+    /// left and where less is.
+    of_last: [u8; 16],
+    of_last_late: [u8; 16],
+    /// The same of whether there is another.
+    of_last_more: [u8; 16],
+    range: u32,
+    low: u32,
+    out: *mut u8,
+    start: *mut u8,
+    /// Beyond this no event is begun, and beyond that no pixel.
+    room: *mut u8,
+    pixel_room: *mut u8,
+    /// Columns with events that were not visited, and all.
+    told: u32,
+    told_all: u32,
+    /// Whether a column is quiet but for those to its west, the first highest.
+    quiet: u32,
+    columns: u32,
+    last_column: u32,
+    entries: *mut Entry,
+    slots: *mut Slot,
+    lists: *mut u32,
+    lasts: *mut u32,
+    pixels: *mut Probability,
+    /// 31 beyond the first one of the crowd at hand.
+    runs: *mut Probability,
+    polarities: *mut Probability,
+    more: *mut Probability,
+    flips: *mut Probability,
+    first: *mut Symbols<FIRST_SYMBOLS>,
+    /// Plain bits of a first cell.
+    plain_bits: u32,
+    distances: *mut Symbols<DISTANCES>,
+    /// Leading zeros of what is left of the window where it is at least half.
+    half: u32,
+    cells: u32,
+    /// 5 more.
+    rest_from: u32,
+    fine: u32,
+    /// 7 times `fine`, and 8.
+    fine_symbols: u32,
+    /// Of the first events so far, and of those to the west of each column.
+    first_on: u32,
+    west_on: u32,
+    north_west_on: u32,
+    north_on: u32,
+    north_east_on: u32,
+    /// Pixels of the window before, how many there are further on (two bits each), and the polarities of
+    /// those.
+    old: u32,
+    later: [u32; 2],
+    old_on: u32,
+    /// Of the last events so far.
+    last_on: u32,
+    /// Last events of the neighbours.
+    west_last: u32,
+    north_last: u32,
+    /// Bits of the last distance, up to 15.
+    last_length: u32,
+    /// 3 times the polarity before the last, 6 without one.
+    before: u32,
+    /// The part of the number of events in the context of whether there is another.
+    number: u32,
+    column: u32,
+    /// Link of the last event where the output was full.
+    link: u32,
+    left: u32,
+    /// Ties the pointers to what they point to.
+    borrowed: PhantomData<&'b mut ()>,
+}
+
+/// Bytes that a segment's flags and an event take at the most, beyond what is asked for before an event.
+pub const FLAGS_BYTES_MAX: usize = 48;
+/// Bits of cells that the assembly takes: their symbols have plain bits, and no more than are coded at
+/// once.
+const BITS: core::ops::RangeInclusive<u32> = FIRST_BITS + 1..=16;
+
+const fn weights() -> [u8; 16] {
+    let (mut weights, mut i) = ([0; 16], 0);
+    while i < 16 {
+        // West, north-west, north, north-east from the lowest bit up.
+        weights[i] = (81 * (i & 1) + 9 * (i >> 1 & 1) + 27 * (i >> 2 & 1) + 3 * (i >> 3)) as u8;
+        i += 1;
+    }
+    weights
+}
+
+const WEIGHTS: [u8; 16] = weights();
+
+const fn of_last(is_late: bool) -> [u8; 16] {
+    let (mut contexts, mut i) = ([0; 16], 0);
+    while i < 16 {
+        let context = OF_LAST[i];
+        contexts[i] = 2 * if is_late {
+            LASTS as u8 + OF_LAST_LATE[context as usize]
+        } else {
+            context
+        };
+        i += 1;
+    }
+    contexts
+}
+
+const OF_LAST_TWICE: [[u8; 16]; 2] = [of_last(false), of_last(true)];
+
+/// Codes the columns of a segment at `place`, where it can, as many as the sensor has of it; it is for
+/// rows that don't follow, without the window before.
+///
+/// `lists` and `lasts` are the sensor's, of which those of the segment begin at its column.
+#[inline(always)]
+pub(super) fn walk<C: Binary, T: Content>(
+    coder: &mut C,
+    content: &mut T,
+    model: &mut Model,
+    (lists, lasts): (&mut [u32], &mut [u32]),
+    (seen, columns): (&Columns, u32),
+    place: (u16, u16),
+    clock: &mut Clock,
+) -> Option<Walked> {
+    if clock.beside_bits != 0 || !BITS.contains(&clock.bits) {
+        return None;
+    }
+    if !coder.has_room(EVENT_BYTES_MAX + FLAGS_BYTES_MAX) {
+        return None;
+    }
+    let (coder, parts) = (coder.parts()?, content.parts()?);
+    let at = usize::from(place.0);
+    let end = at + columns as usize;
+    if lists.len() < end || lasts.len() < end || columns == 0 || columns > 32 {
+        return None;
+    }
+    let told = *parts.columns;
+    let west = told << 2 | seen.west;
+    let quiet = !seen.seen.reverse_bits();
+    let quiet = if columns < 32 {
+        quiet & !(u32::MAX >> columns)
+    } else {
+        quiet
+    };
+    let out = coder.out.as_mut_ptr();
+    let end = out.wrapping_add(coder.out.len());
+    let room = end.wrapping_sub(FINISH_BYTES + EVENT_BYTES_MAX);
+    let times = &mut model.times;
+    let mut walk = Walk {
+        west,
+        north_west: seen.north_west,
+        north: seen.north,
+        north_east: seen.north_east,
+        far_north: seen.far_north,
+        busy: seen.seen | west | west >> 1,
+        rates: RATES,
+        weights: WEIGHTS,
+        of_last: OF_LAST_TWICE[0],
+        of_last_late: OF_LAST_TWICE[1],
+        of_last_more: OF_LAST_MORE,
+        range: *coder.range,
+        low: *coder.low,
+        out: out.wrapping_add(*coder.len),
+        start: out,
+        room,
+        pixel_room: room.wrapping_sub(FLAGS_BYTES_MAX),
+        told,
+        told_all: told,
+        quiet,
+        columns,
+        last_column: columns - 1,
+        entries: parts.entries.as_mut_ptr(),
+        slots: parts.slots.as_mut_ptr(),
+        lists: lists.as_mut_ptr().wrapping_add(at),
+        lasts: lasts.as_mut_ptr().wrapping_add(at),
+        pixels: model.pixels.as_mut_ptr(),
+        runs: model.runs.as_mut_ptr().wrapping_add(8 * seen.crowd + 31),
+        polarities: model.polarities.as_mut_ptr(),
+        more: times.more.as_mut_ptr(),
+        flips: times.flips.as_mut_ptr(),
+        first: &raw mut times.first,
+        plain_bits: clock.bits - FIRST_BITS,
+        distances: times.distances.as_mut_ptr(),
+        half: 32 - clock.bits,
+        cells: clock.cells,
+        rest_from: 32 - clock.bits + RESTS as u32 - 1,
+        fine: clock.fine,
+        fine_symbols: 7 * clock.fine + 8,
+        first_on: 0,
+        west_on: seen.west_on,
+        north_west_on: seen.north_west_on,
+        north_on: seen.north_on,
+        north_east_on: seen.north_east_on,
+        old: seen.old,
+        later: seen.later,
+        old_on: seen.old_on,
+        last_on: 0,
+        west_last: 0,
+        north_last: 0,
+        last_length: clock.last_length,
+        before: 0,
+        number: 0,
+        column: 0,
+        link: 0,
+        left: *parts.left,
+        borrowed: PhantomData,
+    };
+    // SAFETY: the pointers are those of exclusive references that outlive the call. The assembly reads
+    // and writes entries of columns below 32 and slots at their heads and links, all of which `Group`
+    // has made of slots that are there; reads and writes lists and last events of the segment's columns,
+    // and reads the last event to the west of one that has it, which is no sensor's first; has contexts
+    // that are sums of bounded parts, as the twin in Rust, and symbols of cells below `clock.cells`; and
+    // writes bytes from `out` on: at the most `EVENT_BYTES_MAX` from `room` on for an event, and flags
+    // and a first event from `pixel_room` on, which is `FLAGS_BYTES_MAX` before. The build script sets
+    // `eecvs_dsp` only for cores that have the instructions.
+    let how = unsafe {
+        if seen.has_previous {
+            walk_columns_after(&mut walk)
+        } else {
+            walk_columns(&mut walk)
+        }
+    };
+    clock.last_length = walk.last_length;
+    let events = *parts.left - walk.left;
+    *parts.left = walk.left;
+    *parts.columns = walk.told;
+    *coder.range = walk.range;
+    *coder.low = walk.low;
+    *coder.len = walk.out.addr() - out.addr();
+    if how == FULL {
+        let next = walk.link >> NEXT_SHIFT;
+        *parts.pixel = Some(Pixel {
+            x: place.0 + walk.column as u16,
+            y: place.1,
+            on: 0,
+            off: 0,
+            head: next,
+        });
+        *parts.at = next;
+        *parts.rest = u32::from((next as usize) < parts.slots.len());
+    }
+    let goes_on = how < OVER;
+    let last_on = if goes_on {
+        0
+    } else {
+        (walk.link & 1) << (walk.column & 31)
+    };
+    Some(Walked {
+        column: walk.column,
+        occupied: told & !walk.told,
+        first_on: walk.first_on,
+        events,
+        last_on: walk.last_on | last_on,
+        goes_on,
+    })
+}
+
+/// What the assembly ends with: the columns' end, a column that it leaves to the loop in Rust, the
+/// window's last event, and an output that is full.
+const DONE: u32 = 0;
+const LEFT: u32 = 1;
+const OVER: u32 = 2;
+const FULL: u32 = 3;
+
+// What the assembly takes for granted.
+const _: () = assert!(SLOTS_MAX < 1 << 15 && NO_SLOT >= 1 << 15 && NEXT_SHIFT == 16);
+const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Probability>() == 2);
+const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, head) == 0);
+const _: () = assert!(COARSE == 15 && RESTS == 6 && FIRST_BITS == 5);
+
+unsafe extern "C" fn renew_first(table: &mut Symbols<FIRST_SYMBOLS>) {
+    table.renew();
+}
+
+unsafe extern "C" fn renew_distance(table: &mut Symbols<DISTANCES>) {
+    table.renew();
+}
+
+/// A byte, where the range has become short; overwrites the register.
+macro_rules! renew {
+    ($other:literal) => {
+        concat!(
+            "cmp r8, #0x1000000\n",
+            "bhs 97f\n",
+            "lsr ",
+            $other,
+            ", r9, #24\n",
+            "strb ",
+            $other,
+            ", [r10], #1\n",
+            "lsls r9, r9, #8\n",
+            "lsls r8, r8, #8\n",
+            "97:\n",
+        )
+    };
+}
+
+/// Two of them at the most.
+macro_rules! renew_twice {
+    ($other:literal) => {
+        concat!(
+            "cmp r8, #0x1000000\n",
+            "bhs 97f\n",
+            "lsr ",
+            $other,
+            ", r9, #24\n",
+            "strb ",
+            $other,
+            ", [r10], #1\n",
+            "lsls r9, r9, #8\n",
+            "lsls r8, r8, #8\n",
+            "cmp r8, #0x1000000\n",
+            "bhs 97f\n",
+            "lsr ",
+            $other,
+            ", r9, #24\n",
+            "strb ",
+            $other,
+            ", [r10], #1\n",
+            "lsls r9, r9, #8\n",
+            "lsls r8, r8, #8\n",
+            "97:\n",
+        )
+    };
+}
+
+/// Adds to the low end; lr is overwritten.
+macro_rules! add {
+    ($more:literal) => {
+        concat!("adds r9, r9, ", $more, "\nbcc 98f\nbl 99f\n98:\n")
+    };
+}
+
+/// A decision of which the probability is at r0; r1 to r3 and r12 are overwritten.
+macro_rules! one {
+    () => {
+        concat!(
+            "ldrh r1, [r0]\n",
+            "lsr r2, r8, #13\n",
+            "lsr r3, r1, #3\n",
+            "and r12, r1, #7\n",
+            "mul r8, r2, r3\n",
+            "ldrh r12, [r11, r12, lsl #1]\n",
+            "rsb r2, r3, #8192\n",
+            "mul r2, r2, r12\n",
+            "add r3, r3, r2, lsr #16\n",
+            "bfi r12, r3, #3, #13\n",
+            "strh r12, [r0]\n",
+            renew!("r1"),
+        )
+    };
+}
+
+/// The same of a zero, and lr.
+macro_rules! zero {
+    () => {
+        concat!(
+            "ldrh r1, [r0]\n",
+            "lsr r2, r8, #13\n",
+            "lsr r3, r1, #3\n",
+            "and r12, r1, #7\n",
+            "mul r2, r2, r3\n",
+            "ldrh r12, [r11, r12, lsl #1]\n",
+            "sub r8, r8, r2\n",
+            add!("r2"),
+            "mul r2, r3, r12\n",
+            "sub r3, r3, r2, lsr #16\n",
+            "bfi r12, r3, #3, #13\n",
+            "strh r12, [r0]\n",
+            renew!("r1"),
+        )
+    };
+}
+
+/// What column r5 sees, at the top of which `$quiet` is where it goes on if that is nothing; r0: context
+/// of whether it has events.
+macro_rules! see {
+    ($quiet:literal, $old:expr) => {
+        concat!(
+            "ldmdb r11, {{r0, r1, r2, r3, r12, lr}}\n",
+            "lsr lr, lr, r5\n",
+            "lsls lr, lr, #31\n",
+            "bpl ",
+            $quiet,
+            "\n",
+            "lsr r0, r0, r5\n",
+            "and r0, r0, #3\n",
+            "lsr r1, r1, r5\n",
+            "bfi r0, r1, #2, #1\n",
+            "lsr r2, r2, r5\n",
+            "bfi r0, r2, #3, #1\n",
+            "lsr r3, r3, r5\n",
+            "bfi r0, r3, #4, #1\n",
+            "lsr r12, r12, r5\n",
+            "bfi r0, r12, #5, #1\n",
+            $old,
+        )
+    };
+}
+
+/// From its share of a symbol's table on: r12 is its begin and r2 its end, the range that of a share.
+macro_rules! symbol {
+    () => {
+        concat!(
+            "sub r2, r2, r12\n",
+            "mul r12, r12, r8\n",
+            "mul r8, r8, r2\n",
+            add!("r12"),
+            renew_twice!("r2"),
+        )
+    };
+}
+
+/// The lowest r3 bits of a register, as they are; overwrites r2.
+macro_rules! plain {
+    ($value:literal) => {
+        concat!(
+            "lsr r2, ",
+            $value,
+            ", r3\n",
+            "lsls r2, r3\n",
+            "sub r2, ",
+            $value,
+            ", r2\n",
+            "lsrs r8, r3\n",
+            "mul r2, r2, r8\n",
+            add!("r2"),
+            renew_twice!("r2"),
+        )
+    };
+}
+
+/// Learns from symbol r1 of table r0.
+macro_rules! learn {
+    ($counts:literal, $left:literal, $renew:literal) => {
+        concat!(
+            "add r1, r1, r0\n",
+            "ldrb r2, [r1, #",
+            $counts,
+            "]\n",
+            "adds r2, #1\n",
+            "strb r2, [r1, #",
+            $counts,
+            "]\n",
+            "ldrb r2, [r0, #",
+            $left,
+            "]\n",
+            "subs r2, #1\n",
+            "strb r2, [r0, #",
+            $left,
+            "]\n",
+            "bne 95f\n",
+            "bl ",
+            $renew,
+            "\n",
+            "95:\n",
+        )
+    };
+}
+
+/// From a part of the context of whether there is another event in r1 to its probability's place in r0.
+macro_rules! more {
+    () => {
+        concat!(
+            "ldrd r2, r3, [r11, #{west_last}]\n",
+            "lsl r12, r6, #1\n",
+            "add r12, r12, #2\n",
+            "cmp r3, r12\n",
+            "adcs r1, r1\n",
+            "cmp r2, r12\n",
+            "adcs r1, r1\n",
+            "lsrs r0, r7, #1\n",
+            "adcs r1, r1\n",
+            "ldr r0, [r11, #{more}]\n",
+            "add r0, r0, r1, lsl #1\n",
+        )
+    };
+}
+
+/// Six times what is left of the window, in r1.
+macro_rules! rest {
+    () => {
+        concat!(
+            "ldrd r1, r2, [r11, #{cells}]\n",
+            "subs r1, r1, r6\n",
+            "clz r1, r1\n",
+            "subs r1, r2, r1\n",
+            "usat r1, #5, r1\n",
+            "add r1, r1, r1, lsl #1\n",
+            "lsls r1, r1, #1\n",
+        )
+    };
+}
+
+const fn at(offset: usize) -> usize {
+    offset - offset_of!(Walk<'_>, rates)
+}
+
+macro_rules! walk_columns {
+    ($name:ident, $see_old:expr, $polarity_old:expr, $last_old:expr) => {
+/// # Safety
+/// As `walk` has it.
+#[unsafe(naked)]
+unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
+    naked_asm!(
+        // | r4 | r5 | r6 | r7 | r8 | r9 | r10 | r11 |
+        // |---|---|---|---|---|---|---|---|
+        // | left | column | the next with events | its slot | range | low | out | rates |
+        "push {{r3-r11, lr}}",
+        "add r11, r0, #{rates}",
+        "ldrd r8, r9, [r11, #{range}]",
+        "ldr r10, [r11, #{out}]",
+        "ldr r4, [r11, #{left}]",
+        "movs r5, #0",
+        // The next pixel.
+        "1:",
+        "ldr r2, [r11, #{told}]",
+        "rbit r6, r2",
+        "clz r6, r6",
+        "cmp r2, #0",
+        "beq 2f",
+        "ldrd r0, r3, [r11, #{entries}]",
+        "add r0, r0, r6, lsl #3",
+        "ldr r1, [r0]",
+        "add r7, r3, r1, lsl #3",
+        "ldr r12, [r7, #4]",
+        "asrs r12, r12, #16",
+        "bpl 60f",
+        "3:",
+        "ldr r12, [r11, #{pixel_room}]",
+        "cmp r10, r12",
+        "bhi 70f",
+        "movw r2, #{no_slot}",
+        "movs r3, #0",
+        "strd r2, r3, [r0]",
+        "ldr r0, [r11, #{lists}]",
+        "str r1, [r0, r6, lsl #2]",
+        // A column without events.
+        "4:",
+        "cmp r5, r6",
+        "bhs 20f",
+        see!("10f", $see_old),
+        "ldr r1, [r11, #{pixels}]",
+        "add r0, r1, r0, lsl #1",
+        zero!(),
+        "adds r5, #1",
+        "b 4b",
+        // No pixel is left.
+        "2:",
+        "ldr r6, [r11, #{columns}]",
+        "movs r7, #0",
+        "b 4b",
+        // A quiet run. r1: how long.
+        "10:",
+        "ldr r1, [r11, #{quiet}]",
+        "lsls r1, r5",
+        "mvns r1, r1",
+        "clz r1, r1",
+        "clz r2, r1",
+        "ldr r0, [r11, #{runs}]",
+        "sub r0, r0, r2, lsl #1",
+        "add lr, r5, r1",
+        "cmp lr, r6",
+        "bhi 11f",
+        "mov r5, lr",
+        zero!(),
+        "b 4b",
+        // The pixel is in it.
+        "11:",
+        "ldr r2, [r11, #{columns}]",
+        "cmp lr, r2",
+        "mov lr, r1",
+        "beq 63f",
+        "12:",
+        one!(),
+        "13:",
+        "mov r0, #65536",
+        "udiv r0, r0, lr",
+        "lsrs r8, r8, #16",
+        "mul r8, r8, r0",
+        "subs r0, r6, r5",
+        "mul r0, r0, r8",
+        add!("r0"),
+        renew!("r1"),
+        "mov r5, r6",
+        "ldr r0, [r11, #{west_on}]",
+        "lsrs r0, r5",
+        "and r0, r0, #1",
+        "movs r1, #162",
+        "ldr r2, [r11, #{polarities}]",
+        "mla r0, r0, r1, r2",
+        "movs r2, #0",
+        "movs r3, #0",
+        "b 30f",
+        // The next column with events.
+        "20:",
+        "cmp r7, #0",
+        "beq 71f",
+        see!("10b", $see_old),
+        "mov lr, r0",
+        "ldr r1, [r11, #{last_column}]",
+        "cmp r1, r5",
+        "beq 62f",
+        "22:",
+        "ldr r1, [r11, #{pixels}]",
+        "add r0, r1, lr, lsl #1",
+        one!(),
+        // Its polarity's context. lr: that of the column.
+        "21:",
+        "ldrd r3, r1, [r11, #{west_on}]",
+        "ldrd r2, r12, [r11, #{north_on}]",
+        "lsrs r3, r5",
+        "and r3, r3, #1",
+        "lsrs r1, r5",
+        "bfi r3, r1, #1, #1",
+        "lsrs r2, r5",
+        "bfi r3, r2, #2, #1",
+        "lsr r12, r12, r5",
+        "bfi r3, r12, #3, #1",
+        "add r3, r3, r11",
+        "ldrb r3, [r3, #{weights}]",
+        "ubfx r0, lr, #1, #4",
+        "add r0, r0, r11",
+        "ldrb r0, [r0, #{weights}]",
+        "adds r0, r0, r3",
+        $polarity_old,
+        "ldr r1, [r11, #{polarities}]",
+        "add r0, r1, r0, lsl #1",
+        "ldr r1, [r11, #{lasts}]",
+        "add r1, r1, r5, lsl #2",
+        "movs r2, #0",
+        "movs r3, #0",
+        "tst lr, #2",
+        "it ne",
+        "ldrne r2, [r1, #-4]",
+        "tst lr, #8",
+        "it ne",
+        "ldrne r3, [r1]",
+        // A pixel: r0: its polarity's probability; r2 and r3: the neighbours' last events.
+        "30:",
+        "strd r2, r3, [r11, #{west_last}]",
+        "ldrd r6, r7, [r7]",
+        "ldr r1, [r11, #{told}]",
+        "subs r2, r1, #1",
+        "ands r1, r2",
+        "str r1, [r11, #{told}]",
+        "lsls r1, r7, #31",
+        "bmi 31f",
+        zero!(),
+        "b 32f",
+        "31:",
+        one!(),
+        "movs r1, #1",
+        "lsls r1, r5",
+        "ldrd r2, r3, [r11, #{first_on}]",
+        "orrs r2, r1",
+        "orr r3, r3, r1, lsl #1",
+        "strd r2, r3, [r11, #{first_on}]",
+        // r6: cell; r7: link.
+        "32:",
+        "ldrd r0, r3, [r11, #{first}]",
+        "lsr r1, r6, r3",
+        "add r2, r0, r1, lsl #1",
+        "ldrh r12, [r2]",
+        "ldrh r2, [r2, #2]",
+        "lsrs r8, r8, #15",
+        symbol!(),
+        plain!("r6"),
+        learn!("{first_counts}", "{first_left}", "{renew_first}"),
+        "subs r4, #1",
+        "beq 72f",
+        "ldr r1, [r11, #{room}]",
+        "cmp r10, r1",
+        "bhi 73f",
+        rest!(),
+        more!(),
+        "asrs r1, r7, #16",
+        "bpl 40f",
+        zero!(),
+        // The pixel's end.
+        "34:",
+        "lsrs r0, r7, #1",
+        "adc r0, r6, r6",
+        "ldr r1, [r11, #{lasts}]",
+        "str r0, [r1, r5, lsl #2]",
+        $last_old,
+        "adds r5, #1",
+        "b 1b",
+        // Further events.
+        "40:",
+        "str r5, [r11, #{column}]",
+        one!(),
+        "movs r1, #6",
+        "movs r2, #36",
+        "strd r1, r2, [r11, #{before}]",
+        // Its polarity. r5: slot.
+        "41:",
+        "asrs r1, r7, #16",
+        "ldr r2, [r11, #{slots}]",
+        "add r5, r2, r1, lsl #3",
+        "ldrd r0, r1, [r11, #{last_length}]",
+        "lsrs r2, r7, #1",
+        "adcs r0, r0",
+        "add r0, r0, r0, lsl #3",
+        "adds r0, r0, r1",
+        "ldrd r1, r2, [r11, #{west_last}]",
+        "lsls r3, r6, #1",
+        "adds r3, #2",
+        "cmp r1, r3",
+        "bhs 42f",
+        "cmp r2, r3",
+        "blo 43f",
+        "mov r1, r2",
+        "42:",
+        "and r1, r1, #1",
+        "adds r0, #1",
+        "adds r0, r0, r1",
+        "43:",
+        "ldr r1, [r11, #{flips}]",
+        "add r0, r1, r0, lsl #1",
+        "ldr r1, [r5, #4]",
+        "lsls r1, r1, #31",
+        "bmi 44f",
+        zero!(),
+        "b 45f",
+        "44:",
+        one!(),
+        // Its distance: r5; r12: leading zeros of what is left of the window.
+        "45:",
+        "and r2, r7, #1",
+        "add r1, r2, r2, lsl #1",
+        "str r1, [r11, #{before}]",
+        "ldrd r5, r7, [r5]",
+        "and r1, r7, #1",
+        "eors r2, r1",
+        "subs r5, r5, r6",
+        "ldrd r12, r3, [r11, #{half}]",
+        "subs r3, r3, r6",
+        "clz r1, r3",
+        "cmp r1, r12",
+        "ldr r1, [r11, #{last_length}]",
+        "it ne",
+        "addne r1, #16",
+        "add r1, r1, r11",
+        "ldrb r1, [r1, #{of_last}]",
+        "adds r1, r1, r2",
+        "ldr r0, [r11, #{distances}]",
+        "movs r2, #{distances_bytes}",
+        "mla r0, r1, r2, r0",
+        // r12: what lies within the window.
+        "ldrd r2, lr, [r11, #{fine}]",
+        "subs r3, #1",
+        "clz r12, r3",
+        "rsb r12, r12, #32",
+        "cmp r12, r2",
+        "blo 46f",
+        "sub r1, r12, #4",
+        "lsrs r3, r1",
+        "add r12, r3, r12, lsl #3",
+        "sub r12, r12, lr",
+        "46:",
+        "add r12, r0, r12, lsl #1",
+        "ldrh r12, [r12, #2]",
+        "udiv r8, r8, r12",
+        // r1: symbol; r3: the bits below.
+        "clz r1, r5",
+        "rsb r1, r1, #32",
+        "usat r3, #4, r1",
+        "str r3, [r11, #{last_length}]",
+        "subs r3, r1, #1",
+        "cmp r1, r2",
+        "blo 47f",
+        "subs r3, #3",
+        "lsr r12, r5, r3",
+        "add r1, r12, r1, lsl #3",
+        "sub r1, r1, lr",
+        "47:",
+        "usat r3, #4, r3",
+        "add r2, r0, r1, lsl #1",
+        "ldrh r12, [r2]",
+        "ldrh r2, [r2, #2]",
+        symbol!(),
+        plain!("r5"),
+        learn!("{distance_counts}", "{distance_left}", "{renew_distance}"),
+        "add r6, r6, r5",
+        "subs r4, #1",
+        "beq 76f",
+        "ldr r1, [r11, #{room}]",
+        "cmp r10, r1",
+        "bhi 74f",
+        rest!(),
+        "ldr r2, [r11, #{last_length}]",
+        "add r2, r2, r11",
+        "ldrb r2, [r2, #{of_last_more}]",
+        "adds r1, r1, r2",
+        "ldr r2, [r11, #{number}]",
+        "adds r1, r1, r2",
+        "movs r2, #72",
+        "str r2, [r11, #{number}]",
+        more!(),
+        "asrs r1, r7, #16",
+        "bpl 48f",
+        zero!(),
+        "ldr r5, [r11, #{column}]",
+        "b 34b",
+        "48:",
+        one!(),
+        "b 41b",
+        // Whether a pixel's events are in order. r12: the next slot; r2: time of the one before.
+        "60:",
+        "ldr r2, [r7]",
+        "61:",
+        "add r12, r3, r12, lsl #3",
+        "ldrd lr, r12, [r12]",
+        "cmp lr, r2",
+        "blo 70f",
+        "mov r2, lr",
+        "asrs r12, r12, #16",
+        "bpl 61b",
+        "b 3b",
+        // The last column: where no other has events it does.
+        "62:",
+        "ldrd r2, r3, [r11, #{told}]",
+        "cmp r2, r3",
+        "beq 21b",
+        "b 22b",
+        "63:",
+        "ldrd r2, r3, [r11, #{told}]",
+        "cmp r2, r3",
+        "beq 13b",
+        "b 12b",
+        "70:",
+        "movs r0, #{left_to}",
+        "str r5, [r11, #{column}]",
+        "b 75f",
+        "71:",
+        "movs r0, #{done}",
+        "str r5, [r11, #{column}]",
+        "b 75f",
+        "72:",
+        "str r5, [r11, #{column}]",
+        "76:",
+        "movs r0, #{over}",
+        "b 77f",
+        "73:",
+        "str r5, [r11, #{column}]",
+        "74:",
+        "movs r0, #{full}",
+        "77:",
+        "str r7, [r11, #{link}]",
+        "75:",
+        "strd r8, r9, [r11, #{range}]",
+        "str r10, [r11, #{out}]",
+        "str r4, [r11, #{left}]",
+        "pop {{r3-r11, pc}}",
+        // One more in the last of the bytes written.
+        "99:",
+        "push {{r0, r1, r2}}",
+        "mov r0, r10",
+        "ldr r2, [r11, #{start}]",
+        "89:",
+        "cmp r0, r2",
+        "beq 88f",
+        "ldrb r1, [r0, #-1]!",
+        "adds r1, #1",
+        "strb r1, [r0]",
+        "lsls r1, r1, #24",
+        "beq 89b",
+        "88:",
+        "pop {{r0, r1, r2}}",
+        "bx lr",
+        renew_first = sym renew_first,
+        renew_distance = sym renew_distance,
+        rates = const offset_of!(Walk<'_>, rates),
+        no_slot = const NO_SLOT,
+        done = const DONE,
+        left_to = const LEFT,
+        over = const OVER,
+        full = const FULL,
+        first_counts = const Symbols::<FIRST_SYMBOLS>::COUNTS_AT,
+        first_left = const Symbols::<FIRST_SYMBOLS>::LEFT_AT,
+        distance_counts = const Symbols::<DISTANCES>::COUNTS_AT,
+        distance_left = const Symbols::<DISTANCES>::LEFT_AT,
+        distances_bytes = const size_of::<Symbols<DISTANCES>>(),
+        weights = const at(offset_of!(Walk<'_>, weights)),
+        of_last = const at(offset_of!(Walk<'_>, of_last)),
+        of_last_more = const at(offset_of!(Walk<'_>, of_last_more)),
+        range = const at(offset_of!(Walk<'_>, range)),
+        out = const at(offset_of!(Walk<'_>, out)),
+        start = const at(offset_of!(Walk<'_>, start)),
+        room = const at(offset_of!(Walk<'_>, room)),
+        pixel_room = const at(offset_of!(Walk<'_>, pixel_room)),
+        told = const at(offset_of!(Walk<'_>, told)),
+        quiet = const at(offset_of!(Walk<'_>, quiet)),
+        columns = const at(offset_of!(Walk<'_>, columns)),
+        last_column = const at(offset_of!(Walk<'_>, last_column)),
+        entries = const at(offset_of!(Walk<'_>, entries)),
+        slots = const at(offset_of!(Walk<'_>, slots)),
+        lists = const at(offset_of!(Walk<'_>, lists)),
+        lasts = const at(offset_of!(Walk<'_>, lasts)),
+        pixels = const at(offset_of!(Walk<'_>, pixels)),
+        runs = const at(offset_of!(Walk<'_>, runs)),
+        polarities = const at(offset_of!(Walk<'_>, polarities)),
+        more = const at(offset_of!(Walk<'_>, more)),
+        flips = const at(offset_of!(Walk<'_>, flips)),
+        first = const at(offset_of!(Walk<'_>, first)),
+        distances = const at(offset_of!(Walk<'_>, distances)),
+        half = const at(offset_of!(Walk<'_>, half)),
+        cells = const at(offset_of!(Walk<'_>, cells)),
+        fine = const at(offset_of!(Walk<'_>, fine)),
+        old = const at(offset_of!(Walk<'_>, old)),
+        later = const at(offset_of!(Walk<'_>, later)),
+        old_on = const at(offset_of!(Walk<'_>, old_on)),
+        last_on = const at(offset_of!(Walk<'_>, last_on)),
+        first_on = const at(offset_of!(Walk<'_>, first_on)),
+        west_on = const at(offset_of!(Walk<'_>, west_on)),
+        north_on = const at(offset_of!(Walk<'_>, north_on)),
+        west_last = const at(offset_of!(Walk<'_>, west_last)),
+        last_length = const at(offset_of!(Walk<'_>, last_length)),
+        before = const at(offset_of!(Walk<'_>, before)),
+        number = const at(offset_of!(Walk<'_>, number)),
+        column = const at(offset_of!(Walk<'_>, column)),
+        link = const at(offset_of!(Walk<'_>, link)),
+        left = const at(offset_of!(Walk<'_>, left)),
+    )
+}
+    };
+}
+
+walk_columns!(
+    walk_columns,
+    "",
+    "/* {old} {later} {old_on} {last_on} */",
+    ""
+);
+walk_columns!(
+    walk_columns_after,
+    concat!(
+        "ldrd r1, r2, [r11, #{old}]\n",
+        "ldr r3, [r11, #{later} + 4]\n",
+        "lsrs r1, r5\n",
+        "bfi r0, r1, #6, #1\n",
+        "lsrs r2, r5\n",
+        "bfi r0, r2, #7, #1\n",
+        "lsrs r3, r5\n",
+        "bfi r0, r3, #8, #1\n",
+    ),
+    concat!(
+        "ldr r1, [r11, #{old_on}]\n",
+        "lsrs r1, r5\n",
+        "and r1, r1, #1\n",
+        "adds r0, r0, r1\n",
+        "ubfx r1, lr, #6, #1\n",
+        "adds r0, r0, r1\n",
+    ),
+    concat!(
+        "and r2, r7, #1\n",
+        "lsls r2, r5\n",
+        "ldr r3, [r11, #{last_on}]\n",
+        "orrs r3, r2\n",
+        "str r3, [r11, #{last_on}]\n",
+    )
+);
