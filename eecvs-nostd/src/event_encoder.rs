@@ -294,20 +294,19 @@ impl Content for Pixels<'_, '_, '_, '_> {
 
     #[cfg(eecvs_dsp)]
     #[inline(always)]
-    fn parts(&mut self) -> Option<Parts<'_>> {
+    fn with_parts<R>(&mut self, walk: impl FnOnce(Parts<'_, '_>) -> R) -> Option<R> {
         if !self.encoder.times.are_plain() {
             return None;
         }
         *self.encoder.is_rest = false;
-        Some(Parts {
-            entries: &mut self.encoder.group.entries,
-            columns: &mut self.encoder.group.columns,
-            slots: self.encoder.window.slots(),
+        Some(walk(Parts {
+            group: &mut *self.encoder.group,
+            window: &mut *self.encoder.window,
             left: &mut self.left,
             pixel: &mut self.pixel,
             at: &mut self.at,
             rest: &mut self.rest,
-        })
+        }))
     }
 
     #[inline(always)]

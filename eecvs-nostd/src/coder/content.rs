@@ -33,9 +33,12 @@ pub trait Content {
     fn take(&mut self, cell: u32, on: bool);
     /// Whether all events have been coded: both sides know.
     fn is_over(&self) -> bool;
-    /// The same for a walk that looks at an encoder's events itself, where they are told as they are.
+    /// Hands an encoder's window, where its times are told as they are, to a walk that looks at it itself.
     #[cfg(eecvs_dsp)]
-    fn parts(&mut self) -> Option<super::dense_dsp::Parts<'_>> {
+    fn with_parts<R>(
+        &mut self,
+        _walk: impl FnOnce(super::dense_dsp::Parts<'_, '_>) -> R,
+    ) -> Option<R> {
         None
     }
     /// An event of the pixels coded so far; `None` for [`END`].

@@ -20,6 +20,8 @@ use super::neighbourhood::Around;
 use super::range::Binary;
 use super::times::Times;
 use crate::event::Sensor;
+#[cfg(eecvs_dsp)]
+use core::cell::Cell;
 
 /// Rows of bits that are kept: all with those of the window before, and without them this one, two
 /// above, and one more, so that a row's place is cheap to find.
@@ -215,12 +217,44 @@ impl<'b> Dense<'b> {
         around.go_on((0, 0), &self.east(&rows, 0, true));
         let mut segment = 0;
         let mut goes_on = true;
-        while segment < stride {
-            let flag = &mut self.model.segments[around.segment_context()];
-            let mut made = Made::default();
-            if coder.bit(flag, content.has_segment(segment as u16)) {
-                let place = (segment, y, following);
-                goes_on = self.code_segment(coder, content, place, &around, &mut made, frame);
+        let mut begun = None;
+        #[cfg(eecvs_dsp)]
+        if following == Following::Not && dense_dsp::serves(&frame.clock) {
+            let all = (&mut *coder, &mut *content);
+            let place = (y, row, &rows);
+            let walked = if self.has_previous {
+                self.walk_row::<_, _, true>(all, place, &mut around, frame)
+            } else {
+                self.walk_row::<_, _, false>(all, place, &mut around, frame)
+            };
+            if let (false, Walk::Segment(at) | Walk::Columns(at, ..)) = (self.has_previous, &walked)
+            {
+                // What is seen there.
+                for segment in 0..*at {
+                    let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
+                    let made = word(self.occupied, row + segment);
+                    let made_on = word(self.first_on, rows.first_here + segment);
+                    let east = self.east(&rows, segment + 1, true);
+                    around.go_on((made, made_on), &east);
+                }
+            }
+            match walked {
+                Walk::None => {}
+                Walk::Whole => return true,
+                Walk::Segment(at) => segment = at,
+                Walk::Columns(at, from, made) => (segment, begun) = (at, Some((from, made))),
+                Walk::Over(at) => (segment, goes_on) = (at + 1, false),
+            }
+        }
+        while goes_on && segment < stride {
+            let is_begun = begun.is_some();
+            let (from, mut made) = begun.take().unwrap_or_default();
+            if is_begun || {
+                let flag = &mut self.model.segments[around.segment_context()];
+                coder.bit(flag, content.has_segment(segment as u16))
+            } {
+                let (place, made) = ((segment, y, following), (from, &mut made));
+                goes_on = self.code_segment(coder, content, place, &around, made, frame);
             }
             set(self.occupied, row + segment, made.occupied);
             set(self.last_on, row + segment, made.last_on);
@@ -235,6 +269,137 @@ impl<'b> Dense<'b> {
         }
         words_at(self.occupied, row + segment, stride - segment).fill(0);
         goes_on
+    }
+
+    /// The same of an encoder by [`dense_dsp`], as far as that goes.
+    #[cfg(eecvs_dsp)]
+    #[inline(never)]
+    fn walk_row<C: Binary, T: Content, const HAS_PREVIOUS: bool>(
+        &mut self,
+        (coder, content): (&mut C, &mut T),
+        (y, row, rows): (usize, usize, &Rows),
+        around: &mut Around,
+        frame: &mut Frame,
+    ) -> Walk {
+        let stride = self.stride;
+        let width = usize::from(self.sensor.width);
+        let Model {
+            segments,
+            runs,
+            pixels,
+            polarities,
+            times,
+            ..
+        } = &mut *self.model;
+        let lists = (&mut *self.lists, &mut *self.lasts);
+        let occupied = cells(self.occupied);
+        let last_on = cells(self.last_on);
+        let first_on = cells(self.first_on);
+        let (north, north_on) = (
+            row_of(occupied, rows.north, stride),
+            row_of(first_on, rows.first_north, stride),
+        );
+        let far_north = row_of(occupied, rows.far_north, stride);
+        let (here, here_on) = (
+            row_of(occupied, row, stride),
+            row_of(first_on, rows.first_here, stride),
+        );
+        let (south, last_here) = (
+            row_of(occupied, rows.south, stride),
+            row_of(last_on, row, stride),
+        );
+        let Some(coder) = coder.parts() else {
+            return Walk::None;
+        };
+        let walk = content.with_parts(|parts| {
+            let learned = (runs, pixels, polarities, times);
+            let clock = &mut frame.clock;
+            let mut walk =
+                dense_dsp::Row::<HAS_PREVIOUS>::new(coder, parts, learned, lists, y, clock);
+            if !HAS_PREVIOUS {
+                let rows = [north, north_on, far_north, here, here_on];
+                let (segment, walked, pixels) = walk.segments(segments, rows, width);
+                let at = segment as usize;
+                let end = match walked {
+                    None if at >= stride => Walk::Whole,
+                    None => Walk::Segment(at),
+                    Some(walked) if walked.end == dense_dsp::End::Over => Walk::Over(at),
+                    Some(walked) => {
+                        let made = Made {
+                            occupied: walked.occupied,
+                            first_on: walked.first_on,
+                            last_on: walked.last_on,
+                        };
+                        Walk::Columns(at, walked.column, made)
+                    }
+                };
+                return (end, pixels, walk.finish());
+            }
+            let mut end = Walk::Whole;
+            let mut count = 0;
+            let mut here_around = *around;
+            for segment in 0..stride {
+                if !walk.has_room() {
+                    end = Walk::Segment(segment);
+                    break;
+                }
+                let is_active = segment == walk.ahead;
+                walk.bit(&mut segments[here_around.segment_context()], is_active);
+                let mut made = Made::default();
+                if is_active {
+                    let seen = here_around.columns(HAS_PREVIOUS);
+                    let columns = (width - 32 * segment).min(32) as u32;
+                    let walked = walk.columns(&seen, columns);
+                    made = Made {
+                        occupied: walked.occupied,
+                        first_on: walked.first_on,
+                        last_on: walked.last_on,
+                    };
+                    count += made.occupied.count_ones();
+                    if walked.end == dense_dsp::End::Left {
+                        end = Walk::Columns(segment, walked.column, made);
+                        break;
+                    }
+                    if walked.end == dense_dsp::End::Over {
+                        end = Walk::Over(segment);
+                    }
+                }
+                put(here, segment, made.occupied);
+                put(here_on, segment, made.first_on);
+                if HAS_PREVIOUS {
+                    put(last_here, segment, made.last_on);
+                }
+                if let Walk::Over(_) = end {
+                    break;
+                }
+                let east = segment + 2;
+                let next = segment + 1;
+                here_around.go_on(
+                    (made.occupied, made.first_on),
+                    &Around {
+                        north: [0, 0, word(north, east)],
+                        north_on: [0, 0, word(north_on, east)],
+                        far_north: word(far_north, next),
+                        old: [0, if HAS_PREVIOUS { word(here, east) } else { 0 }],
+                        south: [0, 0, if HAS_PREVIOUS { word(south, east) } else { 0 }],
+                        old_on: if HAS_PREVIOUS {
+                            word(last_here, next)
+                        } else {
+                            0
+                        },
+                        ..Around::default()
+                    },
+                );
+            }
+            *around = here_around;
+            (end, count, walk.finish())
+        });
+        let Some((end, pixels, events)) = walk else {
+            return Walk::None;
+        };
+        frame.coded.pixels += pixels;
+        frame.coded.events += events;
+        end
     }
 
     /// Where the rows around one begin.
@@ -299,32 +464,13 @@ impl<'b> Dense<'b> {
         content: &mut T,
         (segment, y, following): (usize, usize, Following),
         around: &Around,
-        made: &mut Made,
+        (from, made): (u32, &mut Made),
         frame: &mut Frame,
     ) -> bool {
         let seen = around.columns(self.has_previous);
         let columns = (usize::from(self.sensor.width) - 32 * segment).min(32) as u32;
         let told = content.columns();
-        let mut i = 0;
-        #[cfg(eecvs_dsp)]
-        if following == Following::Not {
-            let lists = (&mut *self.lists, &mut *self.lasts);
-            let place = ((32 * segment) as u16, y as u16);
-            let clock = &mut frame.clock;
-            let seen = (&seen, columns);
-            let walked = dense_dsp::walk(coder, content, self.model, lists, seen, place, clock);
-            if let Some(walked) = walked {
-                frame.coded.events += walked.events;
-                frame.coded.pixels += walked.occupied.count_ones();
-                made.occupied = walked.occupied;
-                made.first_on = walked.first_on;
-                made.last_on = walked.last_on;
-                if !walked.goes_on {
-                    return false;
-                }
-                i = walked.column;
-            }
-        }
+        let mut i = from;
         while i < columns {
             // One that has events comes at last.
             let quiet = seen.quiet(made.occupied, i, columns);
@@ -424,6 +570,45 @@ struct Rows {
 
 /// Beyond all words, and no segment's number leads from it to any.
 const NO_ROW: usize = usize::MAX / 2;
+
+/// How far [`Dense::walk_row`] went.
+#[cfg(eecvs_dsp)]
+enum Walk {
+    /// It is not for such frames.
+    None,
+    Whole,
+    /// To a segment's flag.
+    Segment(usize),
+    /// Within a segment, to a column before which these were made.
+    Columns(usize, u32, Made),
+    /// To the end of the window or of the output, in a segment.
+    Over(usize),
+}
+
+#[cfg(eecvs_dsp)]
+fn cells(words: &mut [u32]) -> &[Cell<u32>] {
+    Cell::from_mut(words).as_slice_of_cells()
+}
+
+#[cfg(eecvs_dsp)]
+#[inline(always)]
+fn row_of(words: &[Cell<u32>], row: usize, stride: usize) -> &[Cell<u32>] {
+    words.get(row..row + stride).unwrap_or_default()
+}
+
+#[cfg(eecvs_dsp)]
+#[inline(always)]
+fn word(words: &[Cell<u32>], at: usize) -> u32 {
+    words.get(at).map_or(0, Cell::get)
+}
+
+#[cfg(eecvs_dsp)]
+#[inline(always)]
+fn put(words: &[Cell<u32>], at: usize, word: u32) {
+    if let Some(place) = words.get(at) {
+        place.set(word);
+    }
+}
 
 /// What a segment was made of.
 #[derive(Debug, Default)]

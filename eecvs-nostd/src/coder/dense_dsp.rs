@@ -8,27 +8,27 @@
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
+use core::cell::Cell;
 use core::marker::PhantomData;
 use core::mem::offset_of;
+use core::ptr::{null, null_mut};
 
 use super::dense_times::{
     COARSE, Clock, DISTANCES, EVENT_BYTES_MAX, FIRST_BITS, FIRST_SYMBOLS, LASTS, OF_LAST,
-    OF_LAST_LATE, OF_LAST_MORE, RESTS,
+    OF_LAST_LATE, OF_LAST_MORE, RESTS, Times,
 };
-use super::model::Model;
-use super::neighbourhood::Columns;
-use super::range::{Binary, FINISH_BYTES, Probability, RATES};
+use super::neighbourhood::{
+    Columns, PIXEL_CONTEXTS, POLARITY_CONTEXTS, RUN_CONTEXTS, SEGMENT_CONTEXTS,
+};
+use super::range::{FINISH_BYTES, Probability, RATES, RangeParts};
 use super::symbols::Symbols;
-use crate::coder::content::Content;
-use crate::group::{Entry, Pixel};
-use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
+use crate::group::{Entry, Group, Pixel};
+use crate::window::{NEXT_SHIFT, NO_SLOT, SEGMENT_PIXELS, SLOTS_MAX, Slot, Window};
 
-/// A segment's events as grouped, and what is left of the window's.
-pub struct Parts<'p> {
-    pub(crate) entries: &'p mut [Entry; 32],
-    /// Columns of the segment that have events.
-    pub(crate) columns: &'p mut u32,
-    pub(crate) slots: &'p mut [Slot],
+/// An encoder's window, and how far it is coded.
+pub struct Parts<'p, 'w> {
+    pub(crate) group: &'p mut Group,
+    pub(crate) window: &'p mut Window<'w>,
     /// Events left of the window.
     pub(crate) left: &'p mut u32,
     /// The pixel at which the output is full, its next slot, and whether there is one.
@@ -37,16 +37,36 @@ pub struct Parts<'p> {
     pub(crate) rest: &'p mut u32,
 }
 
+impl Parts<'_, '_> {
+    /// The next segment of row `y` that has events, beyond all where there is none.
+    #[inline(always)]
+    fn segment_of(&mut self, y: usize) -> usize {
+        match self.group.peek(self.window) {
+            Some((x, row)) if usize::from(row) == y => usize::from(x / SEGMENT_PIXELS),
+            _ => usize::MAX,
+        }
+    }
+}
+
 /// What was made of a segment.
 pub struct Walked {
-    /// The first column that was not visited, all of them where that is 32.
+    /// The first column that was not visited.
     pub column: u32,
     pub occupied: u32,
     pub first_on: u32,
     pub last_on: u32,
-    pub events: u32,
-    /// Whether the frame goes on.
-    pub goes_on: bool,
+    pub end: End,
+}
+
+/// How a segment ended.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    /// After its last column.
+    Done,
+    /// At a column that the loop in Rust has to see to.
+    Left,
+    /// With the window's last event, or where the output is full.
+    Over,
 }
 
 /// What the assembly knows; it addresses all from `rates` on.
@@ -131,15 +151,50 @@ struct Walk<'b> {
     /// Link of the last event where the output was full.
     link: u32,
     left: u32,
+    /// The row's segment at hand, its last one, and that one's columns.
+    segment: u32,
+    last_segment: u32,
+    last_columns: u32,
+    /// The next segment that has events.
+    ahead: u32,
+    segments: *mut Probability,
+    north_row: *const u32,
+    far_north_row: *const u32,
+    north_on_row: *const u32,
+    here_row: *mut u32,
+    here_on_row: *mut u32,
+    /// Of the segment to the west.
+    made: u32,
+    made_on: u32,
+    /// Above, here and in the segment to the east.
+    north_here: u32,
+    north_next: u32,
+    crowds: *mut Probability,
+    all_lists: *mut u32,
+    all_lasts: *mut u32,
+    columns_told: *mut u32,
+    advance: *mut Advance<'b, 'b>,
     /// Ties the pointers to what they point to.
     borrowed: PhantomData<&'b mut ()>,
 }
 
+/// What the assembly goes on to the next segment with.
+struct Advance<'p, 'w> {
+    parts: Parts<'p, 'w>,
+    y: usize,
+    pixels: u32,
+}
+
+/// Counts the pixels of a segment and goes to the next that has events.
+unsafe extern "C" fn advance(advance: &mut Advance<'_, '_>, occupied: u32) -> u32 {
+    advance.pixels += occupied.count_ones();
+    advance.parts.segment_of(advance.y) as u32
+}
+
 /// Bytes that a segment's flags and an event take at the most, beyond what is asked for before an event.
 pub const FLAGS_BYTES_MAX: usize = 48;
-/// Bits of cells that the assembly takes: their symbols have plain bits, and no more than are coded at
-/// once.
-const BITS: core::ops::RangeInclusive<u32> = FIRST_BITS + 1..=16;
+/// Bits of cells that the assembly takes at the most: their plain bits are coded at once.
+const BITS_MAX: u32 = 16;
 
 const fn weights() -> [u8; 16] {
     let (mut weights, mut i) = ([0; 16], 0);
@@ -169,152 +224,335 @@ const fn of_last(is_late: bool) -> [u8; 16] {
 
 const OF_LAST_TWICE: [[u8; 16]; 2] = [of_last(false), of_last(true)];
 
-/// Codes the columns of a segment at `place`, where it can, as many as the sensor has of it; it is for
-/// rows that don't follow, without the window before.
-///
-/// `lists` and `lasts` are the sensor's, of which those of the segment begin at its column.
-#[inline(always)]
-pub(super) fn walk<C: Binary, T: Content>(
-    coder: &mut C,
-    content: &mut T,
-    model: &mut Model,
-    (lists, lasts): (&mut [u32], &mut [u32]),
-    (seen, columns): (&Columns, u32),
-    place: (u16, u16),
-    clock: &mut Clock,
-) -> Option<Walked> {
-    if clock.beside_bits != 0 || !BITS.contains(&clock.bits) {
-        return None;
-    }
-    if !coder.has_room(EVENT_BYTES_MAX + FLAGS_BYTES_MAX) {
-        return None;
-    }
-    let (coder, parts) = (coder.parts()?, content.parts()?);
-    let at = usize::from(place.0);
-    let end = at + columns as usize;
-    if lists.len() < end || lasts.len() < end || columns == 0 || columns > 32 {
-        return None;
-    }
-    let told = *parts.columns;
-    let west = told << 2 | seen.west;
-    let quiet = !seen.seen.reverse_bits();
-    let quiet = if columns < 32 {
-        quiet & !(u32::MAX >> columns)
-    } else {
-        quiet
-    };
-    let out = coder.out.as_mut_ptr();
-    let end = out.wrapping_add(coder.out.len());
-    let room = end.wrapping_sub(FINISH_BYTES + EVENT_BYTES_MAX);
-    let times = &mut model.times;
-    let mut walk = Walk {
-        west,
-        north_west: seen.north_west,
-        north: seen.north,
-        north_east: seen.north_east,
-        far_north: seen.far_north,
-        busy: seen.seen | west | west >> 1,
-        rates: RATES,
-        weights: WEIGHTS,
-        of_last: OF_LAST_TWICE[0],
-        of_last_late: OF_LAST_TWICE[1],
-        of_last_more: OF_LAST_MORE,
-        range: *coder.range,
-        low: *coder.low,
-        out: out.wrapping_add(*coder.len),
-        start: out,
-        room,
-        pixel_room: room.wrapping_sub(FLAGS_BYTES_MAX),
-        told,
-        told_all: told,
-        quiet,
-        columns,
-        last_column: columns - 1,
-        entries: parts.entries.as_mut_ptr(),
-        slots: parts.slots.as_mut_ptr(),
-        lists: lists.as_mut_ptr().wrapping_add(at),
-        lasts: lasts.as_mut_ptr().wrapping_add(at),
-        pixels: model.pixels.as_mut_ptr(),
-        runs: model.runs.as_mut_ptr().wrapping_add(8 * seen.crowd + 31),
-        polarities: model.polarities.as_mut_ptr(),
-        more: times.more.as_mut_ptr(),
-        flips: times.flips.as_mut_ptr(),
-        first: &raw mut times.first,
-        plain_bits: clock.bits - FIRST_BITS,
-        distances: times.distances.as_mut_ptr(),
-        half: 32 - clock.bits,
-        cells: clock.cells,
-        rest_from: 32 - clock.bits + RESTS as u32 - 1,
-        fine: clock.fine,
-        fine_symbols: 7 * clock.fine + 8,
-        first_on: 0,
-        west_on: seen.west_on,
-        north_west_on: seen.north_west_on,
-        north_on: seen.north_on,
-        north_east_on: seen.north_east_on,
-        old: seen.old,
-        later: seen.later,
-        old_on: seen.old_on,
-        last_on: 0,
-        west_last: 0,
-        north_last: 0,
-        last_length: clock.last_length,
-        before: 0,
-        number: 0,
-        column: 0,
-        link: 0,
-        left: *parts.left,
-        borrowed: PhantomData,
-    };
-    // SAFETY: the pointers are those of exclusive references that outlive the call. The assembly reads
-    // and writes entries of columns below 32 and slots at their heads and links, all of which `Group`
-    // has made of slots that are there; reads and writes lists and last events of the segment's columns,
-    // and reads the last event to the west of one that has it, which is no sensor's first; has contexts
-    // that are sums of bounded parts, as the twin in Rust, and symbols of cells below `clock.cells`; and
-    // writes bytes from `out` on: at the most `EVENT_BYTES_MAX` from `room` on for an event, and flags
-    // and a first event from `pixel_room` on, which is `FLAGS_BYTES_MAX` before. The build script sets
-    // `eecvs_dsp` only for cores that have the instructions.
-    let how = unsafe {
-        if seen.has_previous {
-            walk_columns_after(&mut walk)
-        } else {
-            walk_columns(&mut walk)
-        }
-    };
-    clock.last_length = walk.last_length;
-    let events = *parts.left - walk.left;
-    *parts.left = walk.left;
-    *parts.columns = walk.told;
-    *coder.range = walk.range;
-    *coder.low = walk.low;
-    *coder.len = walk.out.addr() - out.addr();
-    if how == FULL {
-        let next = walk.link >> NEXT_SHIFT;
-        *parts.pixel = Some(Pixel {
-            x: place.0 + walk.column as u16,
-            y: place.1,
-            on: 0,
-            off: 0,
-            head: next,
-        });
-        *parts.at = next;
-        *parts.rest = u32::from((next as usize) < parts.slots.len());
-    }
-    let goes_on = how < OVER;
-    let last_on = if goes_on {
-        0
-    } else {
-        (walk.link & 1) << (walk.column & 31)
-    };
-    Some(Walked {
-        column: walk.column,
-        occupied: told & !walk.told,
-        first_on: walk.first_on,
-        events,
-        last_on: walk.last_on | last_on,
-        goes_on,
-    })
+/// The walk over a row's segments.
+pub struct Row<'r, 'p, 'w, const HAS_PREVIOUS: bool> {
+    walk: Walk<'r>,
+    advance: Advance<'p, 'w>,
+    coder: RangeParts<'r>,
+    clock: &'r mut Clock,
+    runs: *mut Probability,
+    lists: &'r mut [u32],
+    lasts: &'r mut [u32],
+    /// The next of its segments that has events.
+    pub ahead: usize,
 }
+
+impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
+    /// At the start of a row that does not follow, where the walk is made for its cells.
+    #[inline(always)]
+    pub fn new(
+        coder: RangeParts<'r>,
+        mut parts: Parts<'p, 'w>,
+        (runs, pixels, polarities, times): Learned<'r>,
+        (lists, lasts): (&'r mut [u32], &'r mut [u32]),
+        y: usize,
+        clock: &'r mut Clock,
+    ) -> Self {
+        let out = coder.out.as_mut_ptr();
+        let end = out.wrapping_add(coder.out.len());
+        let room = end.wrapping_sub(FINISH_BYTES + EVENT_BYTES_MAX);
+        let ahead = parts.segment_of(y);
+        let walk = Walk {
+            west: 0,
+            north_west: 0,
+            north: 0,
+            north_east: 0,
+            far_north: 0,
+            busy: 0,
+            rates: RATES,
+            weights: WEIGHTS,
+            of_last: OF_LAST_TWICE[0],
+            of_last_late: OF_LAST_TWICE[1],
+            of_last_more: OF_LAST_MORE,
+            range: *coder.range,
+            low: *coder.low,
+            out: out.wrapping_add(*coder.len),
+            start: out,
+            room,
+            pixel_room: room.wrapping_sub(FLAGS_BYTES_MAX),
+            told: 0,
+            told_all: 0,
+            quiet: 0,
+            columns: 0,
+            last_column: 0,
+            entries: parts.group.entries.as_mut_ptr(),
+            slots: parts.window.slots().as_mut_ptr(),
+            lists: lists.as_mut_ptr(),
+            lasts: lasts.as_mut_ptr(),
+            pixels: pixels.as_mut_ptr(),
+            runs: runs.as_mut_ptr(),
+            polarities: polarities.as_mut_ptr(),
+            more: times.more.as_mut_ptr(),
+            flips: times.flips.as_mut_ptr(),
+            first: &raw mut times.first,
+            plain_bits: clock.bits.wrapping_sub(FIRST_BITS),
+            distances: times.distances.as_mut_ptr(),
+            half: 32 - clock.bits,
+            cells: clock.cells,
+            rest_from: 32 - clock.bits + RESTS as u32 - 1,
+            fine: clock.fine,
+            fine_symbols: 7 * clock.fine + 8,
+            first_on: 0,
+            west_on: 0,
+            north_west_on: 0,
+            north_on: 0,
+            north_east_on: 0,
+            old: 0,
+            later: [0; 2],
+            old_on: 0,
+            last_on: 0,
+            west_last: 0,
+            north_last: 0,
+            last_length: clock.last_length,
+            before: 0,
+            number: 0,
+            column: 0,
+            link: 0,
+            left: *parts.left,
+            segment: 0,
+            last_segment: 0,
+            last_columns: 0,
+            ahead: 0,
+            segments: null_mut(),
+            north_row: null(),
+            far_north_row: null(),
+            north_on_row: null(),
+            here_row: null_mut(),
+            here_on_row: null_mut(),
+            made: 0,
+            made_on: 0,
+            north_here: 0,
+            north_next: 0,
+            crowds: runs.as_mut_ptr().wrapping_add(31),
+            all_lists: lists.as_mut_ptr(),
+            all_lasts: lasts.as_mut_ptr(),
+            columns_told: null_mut(),
+            advance: null_mut(),
+            borrowed: PhantomData,
+        };
+        Self {
+            walk,
+            advance: Advance {
+                parts,
+                y,
+                pixels: 0,
+            },
+            coder,
+            clock,
+            runs: runs.as_mut_ptr(),
+            lists,
+            lasts,
+            ahead,
+        }
+    }
+
+    /// Whether there is room for a segment's flag, and its columns up to the first pixel.
+    #[inline(always)]
+    pub fn has_room(&self) -> bool {
+        self.walk.out <= self.walk.pixel_room
+    }
+
+    /// A decision, for which there is room.
+    #[inline(always)]
+    pub fn bit(&mut self, probability: &mut Probability, bit: bool) {
+        // SAFETY: it writes a byte at the most, where `has_room` was asked for, and the probability.
+        unsafe { decide(&mut self.walk, probability, u32::from(bit)) };
+    }
+
+    /// The columns of the segment ahead, as many as the sensor has of it.
+    #[inline(always)]
+    pub fn columns(&mut self, seen: &Columns, columns: u32) -> Walked {
+        let at = SEGMENT_PIXELS as usize * self.ahead;
+        let end = at + columns as usize;
+        if self.lists.len() < end || self.lasts.len() < end || columns == 0 || columns > 32 {
+            return Walked {
+                column: 0,
+                occupied: 0,
+                first_on: 0,
+                last_on: 0,
+                end: End::Left,
+            };
+        }
+        let walk = &mut self.walk;
+        let told = self.advance.parts.group.columns;
+        walk.told = told;
+        walk.told_all = told;
+        walk.west = told << 2 | seen.west;
+        walk.north_west = seen.north_west;
+        walk.north = seen.north;
+        walk.north_east = seen.north_east;
+        walk.far_north = seen.far_north;
+        walk.busy = seen.seen | walk.west | walk.west >> 1;
+        walk.quiet = !seen.seen.reverse_bits();
+        if columns < 32 {
+            walk.quiet &= !(u32::MAX >> columns);
+        }
+        walk.columns = columns;
+        walk.last_column = columns - 1;
+        walk.entries = self.advance.parts.group.entries.as_mut_ptr();
+        walk.slots = self.advance.parts.window.slots().as_mut_ptr();
+        walk.lists = self.lists.as_mut_ptr().wrapping_add(at);
+        walk.lasts = self.lasts.as_mut_ptr().wrapping_add(at);
+        walk.runs = self.runs.wrapping_add(8 * (seen.crowd % 4) + 31);
+        walk.first_on = 0;
+        walk.west_on = seen.west_on;
+        walk.north_west_on = seen.north_west_on;
+        walk.north_on = seen.north_on;
+        walk.north_east_on = seen.north_east_on;
+        if HAS_PREVIOUS {
+            walk.old = seen.old;
+            walk.later = seen.later;
+            walk.old_on = seen.old_on;
+            walk.last_on = 0;
+        }
+        // SAFETY: the pointers are those of exclusive references that outlive the call. The assembly
+        // reads and writes entries of columns below 32 and slots at their heads and links, all of which
+        // `Group` has made of slots that are there; reads and writes lists and last events of the
+        // segment's columns, and reads the last event to the west of one that has it, which is no
+        // sensor's first; has contexts that are sums of bounded parts, as the twin in Rust, and symbols
+        // of cells below `clock.cells`; and writes bytes from `out` on: at the most `EVENT_BYTES_MAX`
+        // from `room` on for an event, and flags and a first event from `pixel_room` on, which is
+        // `FLAGS_BYTES_MAX` before. The build script sets `eecvs_dsp` only for cores that have the
+        // instructions.
+        let how = unsafe { walk_columns_after(walk) };
+        let walked = self.walked(how);
+        if walked.end == End::Done {
+            self.ahead = self.advance.parts.segment_of(self.advance.y);
+        }
+        walked
+    }
+
+    /// What was made of the segment ahead.
+    #[inline(always)]
+    fn walked(&mut self, how: u32) -> Walked {
+        let walk = &self.walk;
+        let mut walked = Walked {
+            column: walk.column,
+            occupied: walk.told_all & !walk.told,
+            first_on: walk.first_on,
+            last_on: walk.last_on,
+            end: match how {
+                DONE => End::Done,
+                LEFT => End::Left,
+                _ => End::Over,
+            },
+        };
+        self.advance.parts.group.columns = walk.told;
+        if walked.end == End::Over {
+            walked.last_on |= (walk.link & 1) << (walk.column & 31);
+            let next = walk.link >> NEXT_SHIFT;
+            let is_there = (next as usize) < self.advance.parts.window.slots().len();
+            if how == FULL && is_there {
+                *self.advance.parts.pixel = Some(Pixel {
+                    x: (SEGMENT_PIXELS as u32 * self.ahead as u32 + walk.column) as u16,
+                    y: self.advance.y as u16,
+                    on: 0,
+                    off: 0,
+                    head: next,
+                });
+                *self.advance.parts.at = next;
+                *self.advance.parts.rest = 1;
+            }
+        }
+        walked
+    }
+
+    /// All segments of a row without the window before; what was made of the one that it ended at, and
+    /// which that was, or which one's flag is left.
+    ///
+    /// `rows` are the words of the row above, the polarities there, those two above, and here.
+    #[inline(always)]
+    pub fn segments(
+        &mut self,
+        segments: &mut [Probability; SEGMENT_CONTEXTS],
+        [north, north_on, far_north, here, here_on]: [&[Cell<u32>]; 5],
+        width: usize,
+    ) -> (u32, Option<Walked>, u32) {
+        let stride = width.div_ceil(SEGMENT_PIXELS as usize);
+        let above = |row: &[Cell<u32>]| match row.len() {
+            0 => ZEROS.as_ptr(),
+            _ => row.as_ptr().cast::<u32>(),
+        };
+        let is_row = |row: &[Cell<u32>]| row.is_empty() || row.len() >= stride;
+        if stride == 0
+            || stride > ZEROS.len()
+            || here.len() < stride
+            || here_on.len() < stride
+            || ![north, north_on, far_north].into_iter().all(is_row)
+            || self.lists.len() < width
+            || self.lasts.len() < width
+        {
+            return (0, None, 0);
+        }
+        let walk = &mut self.walk;
+        walk.last_segment = stride as u32 - 1;
+        walk.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
+        walk.ahead = self.ahead as u32;
+        walk.segments = segments.as_mut_ptr();
+        walk.north_row = above(north);
+        walk.far_north_row = above(far_north);
+        walk.north_on_row = above(north_on);
+        walk.here_row = here.as_ptr().cast::<u32>().cast_mut();
+        walk.here_on_row = here_on.as_ptr().cast::<u32>().cast_mut();
+        walk.columns_told = &raw mut self.advance.parts.group.columns;
+        walk.advance = (&raw mut self.advance).cast();
+        // SAFETY: as of `columns`; and the rows' words are cells, as many as the segments, of which only
+        // those here are written, or zeros. `advance` has the only references to the group and the
+        // window while it runs, and the assembly asks for nothing of them that it may move.
+        let how = unsafe { walk_columns(walk) };
+        let segment = self.walk.segment;
+        self.ahead = self.walk.ahead as usize;
+        match how {
+            ROW => (segment + 1, None, self.advance.pixels),
+            FLAG => (segment, None, self.advance.pixels),
+            _ => {
+                let walked = self.walked(how);
+                let pixels = self.advance.pixels + walked.occupied.count_ones();
+                if walked.end == End::Over {
+                    for (row, word) in [(here, walked.occupied), (here_on, walked.first_on)] {
+                        if let Some(place) = row.get(segment as usize) {
+                            place.set(word);
+                        }
+                    }
+                }
+                (segment, Some(walked), pixels)
+            }
+        }
+    }
+
+    /// Gives back what the walk had in its registers; returns how many events it coded.
+    #[inline(always)]
+    pub fn finish(self) -> u32 {
+        let Self {
+            walk,
+            advance: Advance { parts, .. },
+            coder,
+            clock,
+            ..
+        } = self;
+        clock.last_length = walk.last_length;
+        let events = *parts.left - walk.left;
+        *parts.left = walk.left;
+        *coder.range = walk.range;
+        *coder.low = walk.low;
+        // Both are of one slice, the first not below the second.
+        *coder.len = walk.out.addr() - walk.start.addr();
+        events
+    }
+}
+
+/// Whether a row's walk is made for these cells.
+pub const fn serves(clock: &Clock) -> bool {
+    clock.beside_bits == 0 && clock.bits > FIRST_BITS && clock.bits <= BITS_MAX
+}
+
+/// What is learned of runs, pixels, polarities and times.
+pub type Learned<'r> = (
+    &'r mut [Probability; RUN_CONTEXTS],
+    &'r mut [Probability; PIXEL_CONTEXTS],
+    &'r mut [Probability; POLARITY_CONTEXTS],
+    &'r mut Times,
+);
 
 /// What the assembly ends with: the columns' end, a column that it leaves to the loop in Rust, the
 /// window's last event, and an output that is full.
@@ -322,6 +560,15 @@ const DONE: u32 = 0;
 const LEFT: u32 = 1;
 const OVER: u32 = 2;
 const FULL: u32 = 3;
+/// The same of a row: all its segments, and a segment's flag that is left to the loop in Rust.
+const ROW: u32 = 4;
+const FLAG: u32 = 5;
+
+/// The row above the first.
+static ZEROS: [u32; SEGMENTS_MAX] = [0; SEGMENTS_MAX];
+/// Segments of the widest sensor's row.
+const SEGMENTS_MAX: usize = SENSOR_MAX as usize / SEGMENT_PIXELS as usize;
+const SENSOR_MAX: u16 = 2048;
 
 // What the assembly takes for granted.
 const _: () = assert!(SLOTS_MAX < 1 << 15 && NO_SLOT >= 1 << 15 && NEXT_SHIFT == 16);
@@ -389,6 +636,27 @@ macro_rules! renew_twice {
 macro_rules! add {
     ($more:literal) => {
         concat!("adds r9, r9, ", $more, "\nbcc 98f\nbl 99f\n98:\n")
+    };
+}
+
+/// One more in the last of the bytes written.
+macro_rules! carry {
+    () => {
+        "99:
+        push {{r0, r1, r2}}
+        mov r0, r10
+        ldr r2, [r11, #{start}]
+        89:
+        cmp r0, r2
+        beq 88f
+        ldrb r1, [r0, #-1]!
+        adds r1, #1
+        strb r1, [r0]
+        lsls r1, r1, #24
+        beq 89b
+        88:
+        pop {{r0, r1, r2}}
+        bx lr"
     };
 }
 
@@ -557,8 +825,228 @@ const fn at(offset: usize) -> usize {
     offset - offset_of!(Walk<'_>, rates)
 }
 
+/// A decision.
+///
+/// # Safety
+/// There is room for a byte at `walk.out`.
+#[unsafe(naked)]
+unsafe extern "C" fn decide(walk: &mut Walk<'_>, probability: &mut Probability, bit: u32) {
+    naked_asm!(
+        "push {{r8-r11, lr}}",
+        "add r11, r0, #{rates}",
+        "mov r0, r1",
+        "ldrd r8, r9, [r11, #{range}]",
+        "ldr r10, [r11, #{out}]",
+        "cmp r2, #0",
+        "bne 1f",
+        zero!(),
+        "b 2f",
+        "1:",
+        one!(),
+        "2:",
+        "strd r8, r9, [r11, #{range}]",
+        "str r10, [r11, #{out}]",
+        "pop {{r8-r11, pc}}",
+        carry!(),
+        rates = const offset_of!(Walk<'_>, rates),
+        range = const at(offset_of!(Walk<'_>, range)),
+        out = const at(offset_of!(Walk<'_>, out)),
+        start = const at(offset_of!(Walk<'_>, start)),
+    )
+}
+
+/// Adds to the first register what a word in the second has of bits: 0, 1, 2 to 3, or more, as 0 to 3;
+/// r12 and lr are overwritten.
+macro_rules! few {
+    ($few:literal, $word:literal) => {
+        concat!(
+            "cmp ",
+            $word,
+            ", #0\n",
+            "beq 90f\n",
+            "adds ",
+            $few,
+            ", #1\n",
+            "sub r12, ",
+            $word,
+            ", #1\n",
+            "ands r12, r12, ",
+            $word,
+            "\n",
+            "beq 90f\n",
+            "adds ",
+            $few,
+            ", #1\n",
+            "sub lr, r12, #1\n",
+            "ands r12, r12, lr\n",
+            "beq 90f\n",
+            "sub lr, r12, #1\n",
+            "ands r12, r12, lr\n",
+            "beq 90f\n",
+            "adds ",
+            $few,
+            ", #1\n",
+            "90:\n",
+        )
+    };
+}
+
+/// A row's segments.
+macro_rules! row {
+    () => {
+        concat!(
+            "50:\n",
+            "ldr r12, [r11, #{pixel_room}]\n",
+            "cmp r10, r12\n",
+            "bhi 58f\n",
+            "ldrd r5, r6, [r11, #{segment}]\n",
+            "ldr r7, [r11, #{north_row}]\n",
+            "add r7, r7, r5, lsl #2\n",
+            "ldr r0, [r7]\n",
+            "movs r1, #0\n",
+            "cmp r5, r6\n",
+            "it ne\n",
+            "ldrne r1, [r7, #4]\n",
+            "strd r0, r1, [r11, #{north_here}]\n",
+            "ldr r2, [r11, #{made}]\n",
+            "movs r3, #0\n",
+            "orr r12, r0, r1\n",
+            "orrs r12, r12, r2\n",
+            "beq 51f\n",
+            few!("r3", "r2"),
+            "lsls r3, r3, #2\n",
+            few!("r3", "r0"),
+            "lsls r3, r3, #4\n",
+            few!("r3", "r1"),
+            // r3: context of its flag.
+            "51:\n",
+            "ldrd r2, r1, [r11, #{ahead}]\n",
+            "add r0, r1, r3, lsl #1\n",
+            "cmp r5, r2\n",
+            "beq 52f\n",
+            zero!(),
+            "movs r0, #0\n",
+            "movs r1, #0\n",
+            "strd r0, r1, [r11, #{made}]\n",
+            // It was made so.
+            "53:\n",
+            "ldrd r2, r3, [r11, #{here_row}]\n",
+            "str r0, [r2, r5, lsl #2]\n",
+            "str r1, [r3, r5, lsl #2]\n",
+            "cmp r5, r6\n",
+            "beq 59f\n",
+            "adds r5, #1\n",
+            "str r5, [r11, #{segment}]\n",
+            "b 50b\n",
+            "58:\n",
+            "movs r0, #{flag}\n",
+            "b 75f\n",
+            "59:\n",
+            "movs r0, #{row_end}\n",
+            "b 75f\n",
+            // One that has events: what its columns see.
+            "52:\n",
+            one!(),
+            "ldr r0, [r11, #{columns_told}]\n",
+            "ldr r0, [r0]\n",
+            "str r0, [r11, #{told}]\n",
+            "str r0, [r11, #{told_all}]\n",
+            "ldrd r1, r2, [r11, #{made}]\n",
+            "ands r2, r1\n",
+            "lsrs r2, r2, #31\n",
+            "movs r3, #0\n",
+            "strd r3, r2, [r11, #{first_on}]\n",
+            "lsrs r2, r1, #30\n",
+            "orr r2, r2, r0, lsl #2\n",
+            "ldr r3, [r11, #{north_here}]\n",
+            "orr r7, r1, r3\n",
+            "movs r1, #0\n",
+            few!("r1", "r7"),
+            "ldr r7, [r11, #{crowds}]\n",
+            "add r7, r7, r1, lsl #4\n",
+            "str r7, [r11, #{runs}]\n",
+            "ldr r12, [r11, #{north_next}]\n",
+            "ldr r1, [r11, #{north_row}]\n",
+            "add r1, r1, r5, lsl #2\n",
+            "movs r7, #0\n",
+            "cmp r5, #0\n",
+            "it ne\n",
+            "ldrne r7, [r1, #-4]\n",
+            "lsls r1, r3, #1\n",
+            "orr r1, r1, r7, lsr #31\n",
+            "lsr lr, r3, #1\n",
+            "orr lr, lr, r12, lsl #31\n",
+            "ldr r6, [r11, #{far_north_row}]\n",
+            "ldr r6, [r6, r5, lsl #2]\n",
+            "str r2, [r11, #-24]\n",
+            "str r1, [r11, #-20]\n",
+            "str r3, [r11, #-16]\n",
+            "str lr, [r11, #-12]\n",
+            "str r6, [r11, #-8]\n",
+            "orrs r1, r3\n",
+            "orr r1, r1, lr\n",
+            "orrs r1, r6\n",
+            "orr r6, r2, r2, lsr #1\n",
+            "orrs r6, r1\n",
+            "str r6, [r11, #-4]\n",
+            // r1: what is seen.
+            "ldr r6, [r11, #{segment} + 4]\n",
+            "movs r2, #32\n",
+            "cmp r5, r6\n",
+            "it eq\n",
+            "ldreq r2, [r11, #{last_columns}]\n",
+            "subs r6, r2, #1\n",
+            "strd r2, r6, [r11, #{columns}]\n",
+            "rbit r1, r1\n",
+            "mvns r1, r1\n",
+            "mov r6, #-1\n",
+            "lsrs r6, r2\n",
+            "bics r1, r6\n",
+            "str r1, [r11, #{quiet}]\n",
+            // Polarities above.
+            "ldr r1, [r11, #{north_on_row}]\n",
+            "add r1, r1, r5, lsl #2\n",
+            "ldr r2, [r1]\n",
+            "ands r2, r3\n",
+            "cmp r7, #0\n",
+            "it ne\n",
+            "ldrne r6, [r1, #-4]\n",
+            "ands r6, r7\n",
+            "cmp r12, #0\n",
+            "it ne\n",
+            "ldrne lr, [r1, #4]\n",
+            "and lr, lr, r12\n",
+            "lsls r0, r2, #1\n",
+            "orr r0, r0, r6, lsr #31\n",
+            "lsrs r6, r2, #1\n",
+            "orr r6, r6, lr, lsl #31\n",
+            "str r0, [r11, #{north_west_on}]\n",
+            "strd r2, r6, [r11, #{north_on}]\n",
+            "ldrd r0, r1, [r11, #{all_lists}]\n",
+            "add r0, r0, r5, lsl #7\n",
+            "add r1, r1, r5, lsl #7\n",
+            "strd r0, r1, [r11, #{lists}]\n",
+            "b 5b\n",
+            // On to the next.
+            "55:\n",
+            "ldr r0, [r11, #{columns_told}]\n",
+            "movs r1, #0\n",
+            "str r1, [r0]\n",
+            "ldr r0, [r11, #{advance_to}]\n",
+            "ldr r1, [r11, #{told_all}]\n",
+            "bl {advance}\n",
+            "str r0, [r11, #{ahead}]\n",
+            "ldrd r5, r6, [r11, #{segment}]\n",
+            "ldr r0, [r11, #{told_all}]\n",
+            "ldr r1, [r11, #{first_on}]\n",
+            "strd r0, r1, [r11, #{made}]\n",
+            "b 53b\n",
+        )
+    };
+}
+
 macro_rules! walk_columns {
-    ($name:ident, $see_old:expr, $polarity_old:expr, $last_old:expr) => {
+    ($name:ident, $see_old:expr, $polarity_old:expr, $last_old:expr, $begin:expr, $row:expr, $done:expr) => {
 /// # Safety
 /// As `walk` has it.
 #[unsafe(naked)]
@@ -572,6 +1060,8 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         "ldrd r8, r9, [r11, #{range}]",
         "ldr r10, [r11, #{out}]",
         "ldr r4, [r11, #{left}]",
+        $begin,
+        "5:",
         "movs r5, #0",
         // The next pixel.
         "1:",
@@ -894,7 +1384,9 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         "movs r0, #{left_to}",
         "str r5, [r11, #{column}]",
         "b 75f",
+        $row,
         "71:",
+        $done,
         "movs r0, #{done}",
         "str r5, [r11, #{column}]",
         "b 75f",
@@ -914,22 +1406,7 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         "str r10, [r11, #{out}]",
         "str r4, [r11, #{left}]",
         "pop {{r3-r11, pc}}",
-        // One more in the last of the bytes written.
-        "99:",
-        "push {{r0, r1, r2}}",
-        "mov r0, r10",
-        "ldr r2, [r11, #{start}]",
-        "89:",
-        "cmp r0, r2",
-        "beq 88f",
-        "ldrb r1, [r0, #-1]!",
-        "adds r1, #1",
-        "strb r1, [r0]",
-        "lsls r1, r1, #24",
-        "beq 89b",
-        "88:",
-        "pop {{r0, r1, r2}}",
-        "bx lr",
+        carry!(),
         renew_first = sym renew_first,
         renew_distance = sym renew_distance,
         rates = const offset_of!(Walk<'_>, rates),
@@ -982,6 +1459,25 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         number = const at(offset_of!(Walk<'_>, number)),
         column = const at(offset_of!(Walk<'_>, column)),
         link = const at(offset_of!(Walk<'_>, link)),
+        told_all = const at(offset_of!(Walk<'_>, told_all)),
+        north_west_on = const at(offset_of!(Walk<'_>, north_west_on)),
+        segment = const at(offset_of!(Walk<'_>, segment)),
+        last_columns = const at(offset_of!(Walk<'_>, last_columns)),
+        ahead = const at(offset_of!(Walk<'_>, ahead)),
+        north_row = const at(offset_of!(Walk<'_>, north_row)),
+        far_north_row = const at(offset_of!(Walk<'_>, far_north_row)),
+        north_on_row = const at(offset_of!(Walk<'_>, north_on_row)),
+        here_row = const at(offset_of!(Walk<'_>, here_row)),
+        made = const at(offset_of!(Walk<'_>, made)),
+        north_here = const at(offset_of!(Walk<'_>, north_here)),
+        north_next = const at(offset_of!(Walk<'_>, north_next)),
+        crowds = const at(offset_of!(Walk<'_>, crowds)),
+        all_lists = const at(offset_of!(Walk<'_>, all_lists)),
+        columns_told = const at(offset_of!(Walk<'_>, columns_told)),
+        advance_to = const at(offset_of!(Walk<'_>, advance)),
+        advance = sym advance,
+        row_end = const ROW,
+        flag = const FLAG,
         left = const at(offset_of!(Walk<'_>, left)),
     )
 }
@@ -992,7 +1488,10 @@ walk_columns!(
     walk_columns,
     "",
     "/* {old} {later} {old_on} {last_on} */",
-    ""
+    "",
+    "b 50f",
+    row!(),
+    "b 55b"
 );
 walk_columns!(
     walk_columns_after,
@@ -1020,5 +1519,10 @@ walk_columns!(
         "ldr r3, [r11, #{last_on}]\n",
         "orrs r3, r2\n",
         "str r3, [r11, #{last_on}]\n",
-    )
+    ),
+    "",
+    "/* {segment} {last_columns} {ahead} {north_row} {far_north_row} {north_on_row} {here_row} {made} */
+    /* {north_here} {north_next} {crowds} {all_lists} {columns_told} {advance_to} {advance} {told_all} */
+    /* {north_west_on} {row_end} {flag} */",
+    ""
 );
