@@ -219,9 +219,9 @@ impl<'b> Dense<'b> {
         let mut goes_on = true;
         let mut begun = None;
         #[cfg(eecvs_dsp)]
-        if following == Following::Not && dense_dsp::serves(&frame.clock) {
+        if dense_dsp::serves(&frame.clock) {
             let all = (&mut *coder, &mut *content);
-            let place = (y, row, &rows);
+            let place = (y, row, &rows, following);
             let walked = if self.has_previous {
                 self.walk_row::<_, _, true>(all, place, &mut around, frame)
             } else {
@@ -277,7 +277,7 @@ impl<'b> Dense<'b> {
     fn walk_row<C: Binary, T: Content, const HAS_PREVIOUS: bool>(
         &mut self,
         (coder, content): (&mut C, &mut T),
-        (y, row, rows): (usize, usize, &Rows),
+        (y, row, rows, following): (usize, usize, &Rows, Following),
         around: &mut Around,
         frame: &mut Frame,
     ) -> Walk {
@@ -314,8 +314,14 @@ impl<'b> Dense<'b> {
         let walk = content.with_parts(|parts| {
             let learned = (runs, pixels, polarities, times);
             let clock = &mut frame.clock;
-            let mut walk =
-                dense_dsp::Row::<HAS_PREVIOUS>::new(coder, parts, learned, lists, y, clock);
+            let mut walk = dense_dsp::Row::<HAS_PREVIOUS>::new(
+                coder,
+                parts,
+                learned,
+                lists,
+                (y, following),
+                clock,
+            );
             if !HAS_PREVIOUS {
                 let rows = [north, north_on, far_north, here, here_on];
                 let (segment, walked, pixels) = walk.segments(segments, rows, width);

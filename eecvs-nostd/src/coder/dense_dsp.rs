@@ -13,14 +13,17 @@ use core::marker::PhantomData;
 use core::mem::offset_of;
 use core::ptr::{null, null_mut};
 
+use super::content::{Content, Node};
 use super::dense_times::{
-    COARSE, Clock, DISTANCES, EVENT_BYTES_MAX, FIRST_BITS, FIRST_SYMBOLS, LASTS, OF_LAST,
-    OF_LAST_LATE, OF_LAST_MORE, RESTS, Times,
+    COARSE, Clock, DISTANCES, EVENT_BYTES_MAX, FIRST_BITS, FIRST_SYMBOLS, Following, LASTS,
+    Neighbour, OF_LAST, OF_LAST_LATE, OF_LAST_MORE, RESTS, Times,
 };
 use super::neighbourhood::{
     Columns, PIXEL_CONTEXTS, POLARITY_CONTEXTS, RUN_CONTEXTS, SEGMENT_CONTEXTS,
 };
-use super::range::{FINISH_BYTES, Probability, RATES, RangeParts};
+use super::range::{
+    Binary, FINISH_BYTES, PLAIN_BITS, Probability, RANGE_MIN, RATES, RangeParts, SCALE, carry,
+};
 use super::symbols::Symbols;
 use crate::group::{Entry, Group, Pixel};
 use crate::window::{NEXT_SHIFT, NO_SLOT, SEGMENT_PIXELS, SLOTS_MAX, Slot, Window};
@@ -173,20 +176,27 @@ struct Walk<'b> {
     all_lists: *mut u32,
     all_lasts: *mut u32,
     columns_told: *mut u32,
-    advance: *mut Advance<'b, 'b>,
+    advance: *mut Advance<'b, 'b, 'b>,
+    /// Whether the row follows, 1 or 0, and the list that the column had before.
+    follows: u32,
+    north_list: u32,
     /// Ties the pointers to what they point to.
     borrowed: PhantomData<&'b mut ()>,
 }
 
-/// What the assembly goes on to the next segment with.
-struct Advance<'p, 'w> {
+/// What the assembly does not do itself: going on to the next segment, and the events of pixels in rows
+/// that follow.
+struct Advance<'r, 'p, 'w> {
     parts: Parts<'p, 'w>,
     y: usize,
     pixels: u32,
+    times: *mut Times,
+    clock: &'r mut Clock,
+    following: Following,
 }
 
 /// Counts the pixels of a segment and goes to the next that has events.
-unsafe extern "C" fn advance(advance: &mut Advance<'_, '_>, occupied: u32) -> u32 {
+unsafe extern "C" fn advance(advance: &mut Advance<'_, '_, '_>, occupied: u32) -> u32 {
     advance.pixels += occupied.count_ones();
     advance.parts.segment_of(advance.y) as u32
 }
@@ -227,9 +237,8 @@ const OF_LAST_TWICE: [[u8; 16]; 2] = [of_last(false), of_last(true)];
 /// The walk over a row's segments.
 pub struct Row<'r, 'p, 'w, const HAS_PREVIOUS: bool> {
     walk: Walk<'r>,
-    advance: Advance<'p, 'w>,
+    advance: Advance<'r, 'p, 'w>,
     coder: RangeParts<'r>,
-    clock: &'r mut Clock,
     runs: *mut Probability,
     lists: &'r mut [u32],
     lasts: &'r mut [u32],
@@ -238,14 +247,14 @@ pub struct Row<'r, 'p, 'w, const HAS_PREVIOUS: bool> {
 }
 
 impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
-    /// At the start of a row that does not follow, where the walk is made for its cells.
+    /// At the start of a row, where the walk is made for its cells.
     #[inline(always)]
     pub fn new(
         coder: RangeParts<'r>,
         mut parts: Parts<'p, 'w>,
         (runs, pixels, polarities, times): Learned<'r>,
         (lists, lasts): (&'r mut [u32], &'r mut [u32]),
-        y: usize,
+        (y, following): (usize, Following),
         clock: &'r mut Clock,
     ) -> Self {
         let out = coder.out.as_mut_ptr();
@@ -328,6 +337,8 @@ impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
             all_lasts: lasts.as_mut_ptr(),
             columns_told: null_mut(),
             advance: null_mut(),
+            follows: u32::from(following != Following::Not),
+            north_list: 0,
             borrowed: PhantomData,
         };
         Self {
@@ -336,9 +347,11 @@ impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
                 parts,
                 y,
                 pixels: 0,
+                times,
+                clock,
+                following,
             },
             coder,
-            clock,
             runs: runs.as_mut_ptr(),
             lists,
             lasts,
@@ -399,6 +412,7 @@ impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
         walk.north_west_on = seen.north_west_on;
         walk.north_on = seen.north_on;
         walk.north_east_on = seen.north_east_on;
+        walk.advance = (&raw mut self.advance).cast();
         if HAS_PREVIOUS {
             walk.old = seen.old;
             walk.later = seen.later;
@@ -525,9 +539,8 @@ impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
     pub fn finish(self) -> u32 {
         let Self {
             walk,
-            advance: Advance { parts, .. },
+            advance: Advance { parts, clock, .. },
             coder,
-            clock,
             ..
         } = self;
         clock.last_length = walk.last_length;
@@ -582,6 +595,216 @@ unsafe extern "C" fn renew_first(table: &mut Symbols<FIRST_SYMBOLS>) {
 
 unsafe extern "C" fn renew_distance(table: &mut Symbols<DISTANCES>) {
     table.renew();
+}
+
+/// Codes the events of a pixel in a row that follows, of which the polarity of the first has been; returns
+/// [`DONE`], or what the walk ends with.
+unsafe extern "C" fn follow(
+    advance: &mut Advance<'_, '_, '_>,
+    walk: &mut Walk<'_>,
+    cell: u32,
+    link: u32,
+) -> u32 {
+    let column = walk.column & 31;
+    // SAFETY: the walk is at a column of its segment, whose lists and last events are there; there are
+    // those to the west of one that is occupied.
+    let (west, north) = unsafe {
+        let (lists, lasts) = (
+            walk.lists.add(column as usize),
+            walk.lasts.add(column as usize),
+        );
+        let west = if walk.west >> column & 2 != 0 {
+            Neighbour {
+                list: *lists.sub(1),
+                last: *lasts.sub(1),
+            }
+        } else {
+            Neighbour::NONE
+        };
+        let north = if walk.north >> column & 1 != 0 {
+            Neighbour {
+                list: walk.north_list,
+                last: *lasts,
+            }
+        } else {
+            Neighbour::NONE
+        };
+        (west, north)
+    };
+    let mut content = Events {
+        slots: advance.parts.window.slots(),
+        slot: Slot::new(cell, link >> NEXT_SHIFT, link),
+        is_more: true,
+        left: walk.left,
+    };
+    advance.clock.last_length = walk.last_length;
+    // SAFETY: nothing else has a reference to the times while this runs.
+    let times = unsafe { &mut *advance.times };
+    let neighbours = ((west, north), advance.following);
+    let first_on = link & 1 == 1;
+    let mut coder = Coder(&mut *walk);
+    let pixel = advance
+        .clock
+        .pixel(times, &mut coder, &mut content, first_on, neighbours);
+    let (left, next) = (content.left, content.slot.next());
+    let is_more = content.is_more;
+    walk.last_length = advance.clock.last_length;
+    walk.left = left;
+    // SAFETY: as above.
+    unsafe { *walk.lasts.add(column as usize) = pixel.last };
+    if pixel.goes_on {
+        walk.last_on |= (pixel.last & 1) << column;
+        return DONE;
+    }
+    walk.link = next << NEXT_SHIFT | pixel.last & 1;
+    if left == 0 || !is_more { OVER } else { FULL }
+}
+
+/// The events of one pixel.
+struct Events<'s> {
+    slots: &'s [Slot],
+    slot: Slot,
+    is_more: bool,
+    left: u32,
+}
+
+impl Content for Events<'_> {
+    fn has_row(&mut self, _y: u16) -> bool {
+        false
+    }
+
+    fn has_segment(&mut self, _segment: u16) -> bool {
+        false
+    }
+
+    fn columns(&mut self) -> u32 {
+        0
+    }
+
+    fn enter(&mut self, _position: (u16, u16)) -> u32 {
+        0
+    }
+
+    #[inline(always)]
+    fn is_more(&self) -> bool {
+        self.is_more
+    }
+
+    #[inline(always)]
+    fn peek(&self) -> (u32, bool) {
+        (self.slot.offset_us(), self.slot.is_on())
+    }
+
+    #[inline(always)]
+    fn take(&mut self, _cell: u32, _on: bool) {
+        self.left = self.left.saturating_sub(1);
+        match self.slots.get(self.slot.next() as usize) {
+            Some(slot) => self.slot = *slot,
+            None => self.is_more = false,
+        }
+    }
+
+    #[inline(always)]
+    fn is_over(&self) -> bool {
+        self.left == 0
+    }
+
+    #[inline(always)]
+    fn at(&self, list: u32) -> Option<Node> {
+        let slot = self.slots.get(list as usize)?;
+        Some(Node {
+            cell: slot.offset_us(),
+            on: slot.is_on(),
+            next: slot.next(),
+        })
+    }
+}
+
+/// The range coder within a walk, where there is room.
+struct Coder<'c, 'b>(&'c mut Walk<'b>);
+
+impl Coder<'_, '_> {
+    fn add(&mut self, more: u32) {
+        let (low, carries) = self.0.low.overflowing_add(more);
+        self.0.low = low;
+        if carries {
+            let len = self.0.out.addr() - self.0.start.addr();
+            // SAFETY: both are of the output, the first not below the second.
+            let out = unsafe { core::slice::from_raw_parts_mut(self.0.start, len) };
+            carry(out, len);
+        }
+    }
+
+    fn renew(&mut self) {
+        if self.0.range < RANGE_MIN {
+            // SAFETY: there was room for an event.
+            unsafe { *self.0.out = (self.0.low >> 24) as u8 };
+            self.0.out = self.0.out.wrapping_add(1);
+            self.0.low <<= 8;
+            self.0.range <<= 8;
+        }
+    }
+
+    #[inline(never)]
+    fn share(&mut self, (begin, end): (u32, u32), all: u32) {
+        self.0.range /= all;
+        self.add(begin * self.0.range);
+        self.0.range *= end - begin;
+        self.renew();
+        self.renew();
+    }
+}
+
+impl Binary for Coder<'_, '_> {
+    #[inline(always)]
+    fn bit(&mut self, probability: &mut Probability, bit: bool) -> bool {
+        // SAFETY: there was room for an event.
+        unsafe { decide(self.0, probability, u32::from(bit)) };
+        bit
+    }
+
+    #[inline(always)]
+    fn symbol<const N: usize>(&mut self, table: &mut Symbols<N>, symbol: usize) -> usize {
+        self.share(table.share(symbol), SCALE);
+        table.learn(symbol);
+        symbol
+    }
+
+    #[inline(always)]
+    fn symbol_up_to<const N: usize>(
+        &mut self,
+        table: &mut Symbols<N>,
+        symbol: usize,
+        last: usize,
+    ) -> usize {
+        self.share(table.share(symbol), table.share(last).1.max(1));
+        table.learn(symbol);
+        symbol
+    }
+
+    fn one_of(&mut self, number: u32, _count: u32) -> u32 {
+        number
+    }
+
+    #[inline(never)]
+    fn plain(&mut self, value: u32, count: u32) -> u32 {
+        let mut left = count;
+        while left > 0 {
+            let bits = left.min(PLAIN_BITS);
+            left -= bits;
+            self.0.range >>= bits;
+            self.add(((value >> left) & ((1 << bits) - 1)) * self.0.range);
+            self.renew();
+            self.renew();
+        }
+        value
+    }
+
+    #[inline(always)]
+    fn has_room(&self, _bytes: usize) -> bool {
+        // Of an event: nothing else is asked for here.
+        self.0.out <= self.0.room
+    }
 }
 
 /// A byte, where the range has become short; overwrites the register.
@@ -1085,7 +1308,9 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         "movs r3, #0",
         "strd r2, r3, [r0]",
         "ldr r0, [r11, #{lists}]",
+        "ldr r2, [r0, r6, lsl #2]",
         "str r1, [r0, r6, lsl #2]",
+        "str r2, [r11, #{north_list}]",
         // A column without events.
         "4:",
         "cmp r5, r6",
@@ -1209,6 +1434,9 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         "strd r2, r3, [r11, #{first_on}]",
         // r6: cell; r7: link.
         "32:",
+        "ldr r1, [r11, #{follows}]",
+        "cmp r1, #0",
+        "bne 80f",
         "ldrd r0, r3, [r11, #{first}]",
         "lsr r1, r6, r3",
         "add r2, r0, r1, lsl #1",
@@ -1357,6 +1585,24 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         "48:",
         one!(),
         "b 41b",
+        // The events of a pixel in a row that follows.
+        "80:",
+        "strd r8, r9, [r11, #{range}]",
+        "str r10, [r11, #{out}]",
+        "str r4, [r11, #{left}]",
+        "str r5, [r11, #{column}]",
+        "ldr r0, [r11, #{advance_to}]",
+        "sub r1, r11, #{rates}",
+        "mov r2, r6",
+        "mov r3, r7",
+        "bl {follow}",
+        "ldrd r8, r9, [r11, #{range}]",
+        "ldr r10, [r11, #{out}]",
+        "ldr r4, [r11, #{left}]",
+        "cmp r0, #0",
+        "bne 75f",
+        "adds r5, #1",
+        "b 1b",
         // Whether a pixel's events are in order. r12: the next slot; r2: time of the one before.
         "60:",
         "ldr r2, [r7]",
@@ -1476,6 +1722,9 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         columns_told = const at(offset_of!(Walk<'_>, columns_told)),
         advance_to = const at(offset_of!(Walk<'_>, advance)),
         advance = sym advance,
+        follow = sym follow,
+        follows = const at(offset_of!(Walk<'_>, follows)),
+        north_list = const at(offset_of!(Walk<'_>, north_list)),
         row_end = const ROW,
         flag = const FLAG,
         left = const at(offset_of!(Walk<'_>, left)),
@@ -1522,7 +1771,7 @@ walk_columns!(
     ),
     "",
     "/* {segment} {last_columns} {ahead} {north_row} {far_north_row} {north_on_row} {here_row} {made} */
-    /* {north_here} {north_next} {crowds} {all_lists} {columns_told} {advance_to} {advance} {told_all} */
+    /* {north_here} {north_next} {crowds} {all_lists} {columns_told} {advance} {told_all} */
     /* {north_west_on} {row_end} {flag} */",
     ""
 );

@@ -112,9 +112,9 @@ const SHARES: [u32; 33] = {
 };
 
 /// Fewer bits are left in the range than a decision needs: time for a byte.
-const RANGE_MIN: u32 = 1 << 24;
+pub(super) const RANGE_MIN: u32 = 1 << 24;
 /// Plain bits coded at once, which leaves 12 bits of the range to be exact to.
-const PLAIN_BITS: u32 = 12;
+pub(super) const PLAIN_BITS: u32 = 12;
 
 /// Writes decisions into a lent buffer.
 ///
@@ -230,7 +230,7 @@ impl<'o> RangeEncoder<'o> {
 /// encoder's may stay in registers.
 #[cold]
 #[inline(never)]
-fn carry(out: &mut [u8], len: usize) {
+pub(super) fn carry(out: &mut [u8], len: usize) {
     // Ends at the latest at the first byte: the number is below 1.
     for byte in out.iter_mut().take(len).rev() {
         *byte = byte.wrapping_add(1);
