@@ -221,14 +221,8 @@ impl<'b> Dense<'b> {
         #[cfg(eecvs_dsp)]
         if dense_dsp::serves(&frame.clock) {
             let all = (&mut *coder, &mut *content);
-            let place = (y, row, &rows, following);
-            let walked = if self.has_previous {
-                self.walk_row::<_, _, true>(all, place, &mut around, frame)
-            } else {
-                self.walk_row::<_, _, false>(all, place, &mut around, frame)
-            };
-            if let (false, Walk::Segment(at) | Walk::Columns(at, ..)) = (self.has_previous, &walked)
-            {
+            let walked = self.walk_row(all, (y, row, &rows, following), frame);
+            if let Walk::Segment(at) | Walk::Columns(at, ..) = &walked {
                 // What is seen there.
                 for segment in 0..*at {
                     let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
@@ -274,14 +268,13 @@ impl<'b> Dense<'b> {
     /// The same of an encoder by [`dense_dsp`], as far as that goes.
     #[cfg(eecvs_dsp)]
     #[inline(never)]
-    fn walk_row<C: Binary, T: Content, const HAS_PREVIOUS: bool>(
+    fn walk_row<C: Binary, T: Content>(
         &mut self,
         (coder, content): (&mut C, &mut T),
         (y, row, rows, following): (usize, usize, &Rows, Following),
-        around: &mut Around,
         frame: &mut Frame,
     ) -> Walk {
-        let stride = self.stride;
+        let (stride, has_previous) = (self.stride, self.has_previous);
         let width = usize::from(self.sensor.width);
         let Model {
             segments,
@@ -291,121 +284,54 @@ impl<'b> Dense<'b> {
             times,
             ..
         } = &mut *self.model;
+        let learned = (runs, pixels, polarities, times);
         let lists = (&mut *self.lists, &mut *self.lasts);
-        let occupied = cells(self.occupied);
-        let last_on = cells(self.last_on);
-        let first_on = cells(self.first_on);
-        let (north, north_on) = (
-            row_of(occupied, rows.north, stride),
-            row_of(first_on, rows.first_north, stride),
-        );
-        let far_north = row_of(occupied, rows.far_north, stride);
-        let (here, here_on) = (
-            row_of(occupied, row, stride),
-            row_of(first_on, rows.first_here, stride),
-        );
-        let (south, last_here) = (
-            row_of(occupied, rows.south, stride),
-            row_of(last_on, row, stride),
-        );
+        let occupied = Cell::from_mut(&mut *self.occupied).as_slice_of_cells();
+        let last_on = Cell::from_mut(&mut *self.last_on).as_slice_of_cells();
+        let first_on = Cell::from_mut(&mut *self.first_on).as_slice_of_cells();
+        let words = dense_dsp::Words {
+            north: row_of(occupied, rows.north, stride),
+            north_on: row_of(first_on, rows.first_north, stride),
+            far_north: row_of(occupied, rows.far_north, stride),
+            south: row_of(occupied, rows.south, stride),
+            here: row_of(occupied, row, stride),
+            here_on: row_of(first_on, rows.first_here, stride),
+            last_here: row_of(last_on, row, stride),
+        };
         let Some(coder) = coder.parts() else {
             return Walk::None;
         };
-        let walk = content.with_parts(|parts| {
-            let learned = (runs, pixels, polarities, times);
-            let clock = &mut frame.clock;
-            let mut walk = dense_dsp::Row::<HAS_PREVIOUS>::new(
-                coder,
-                parts,
-                learned,
-                lists,
-                (y, following),
-                clock,
-            );
-            if !HAS_PREVIOUS {
-                let rows = [north, north_on, far_north, here, here_on];
-                let (segment, walked, pixels) = walk.segments(segments, rows, width);
-                let at = segment as usize;
-                let end = match walked {
-                    None if at >= stride => Walk::Whole,
-                    None => Walk::Segment(at),
-                    Some(walked) if walked.end == dense_dsp::End::Over => Walk::Over(at),
-                    Some(walked) => {
-                        let made = Made {
-                            occupied: walked.occupied,
-                            first_on: walked.first_on,
-                            last_on: walked.last_on,
-                        };
-                        Walk::Columns(at, walked.column, made)
-                    }
-                };
-                return (end, pixels, walk.finish());
-            }
-            let mut end = Walk::Whole;
-            let mut count = 0;
-            let mut here_around = *around;
-            for segment in 0..stride {
-                if !walk.has_room() {
-                    end = Walk::Segment(segment);
-                    break;
-                }
-                let is_active = segment == walk.ahead;
-                walk.bit(&mut segments[here_around.segment_context()], is_active);
-                let mut made = Made::default();
-                if is_active {
-                    let seen = here_around.columns(HAS_PREVIOUS);
-                    let columns = (width - 32 * segment).min(32) as u32;
-                    let walked = walk.columns(&seen, columns);
-                    made = Made {
-                        occupied: walked.occupied,
-                        first_on: walked.first_on,
-                        last_on: walked.last_on,
-                    };
-                    count += made.occupied.count_ones();
-                    if walked.end == dense_dsp::End::Left {
-                        end = Walk::Columns(segment, walked.column, made);
-                        break;
-                    }
-                    if walked.end == dense_dsp::End::Over {
-                        end = Walk::Over(segment);
-                    }
-                }
-                put(here, segment, made.occupied);
-                put(here_on, segment, made.first_on);
-                if HAS_PREVIOUS {
-                    put(last_here, segment, made.last_on);
-                }
-                if let Walk::Over(_) = end {
-                    break;
-                }
-                let east = segment + 2;
-                let next = segment + 1;
-                here_around.go_on(
-                    (made.occupied, made.first_on),
-                    &Around {
-                        north: [0, 0, word(north, east)],
-                        north_on: [0, 0, word(north_on, east)],
-                        far_north: word(far_north, next),
-                        old: [0, if HAS_PREVIOUS { word(here, east) } else { 0 }],
-                        south: [0, 0, if HAS_PREVIOUS { word(south, east) } else { 0 }],
-                        old_on: if HAS_PREVIOUS {
-                            word(last_here, next)
-                        } else {
-                            0
-                        },
-                        ..Around::default()
-                    },
-                );
-            }
-            *around = here_around;
-            (end, count, walk.finish())
+        let clock = &mut frame.clock;
+        let walked = content.with_parts(|parts| {
+            let place = (y, following);
+            let mut walk = dense_dsp::Row::new(coder, parts, learned, lists, place, clock);
+            let (segment, walked, pixels) = walk.segments(segments, &words, (width, has_previous));
+            (segment as usize, walked, pixels, walk.finish())
         });
-        let Some((end, pixels, events)) = walk else {
+        let Some((segment, walked, pixels, events)) = walked else {
             return Walk::None;
         };
         frame.coded.pixels += pixels;
         frame.coded.events += events;
-        end
+        let Some(walked) = walked else {
+            return if segment < stride {
+                Walk::Segment(segment)
+            } else {
+                Walk::Whole
+            };
+        };
+        let made = Made {
+            occupied: walked.occupied,
+            first_on: walked.first_on,
+            last_on: walked.last_on,
+        };
+        if walked.goes_on {
+            return Walk::Columns(segment, walked.column, made);
+        }
+        set(self.occupied, row + segment, made.occupied);
+        set(self.last_on, row + segment, made.last_on);
+        set(self.first_on, rows.first_here + segment, made.first_on);
+        Walk::Over(segment)
     }
 
     /// Where the rows around one begin.
@@ -592,28 +518,9 @@ enum Walk {
 }
 
 #[cfg(eecvs_dsp)]
-fn cells(words: &mut [u32]) -> &[Cell<u32>] {
-    Cell::from_mut(words).as_slice_of_cells()
-}
-
-#[cfg(eecvs_dsp)]
 #[inline(always)]
 fn row_of(words: &[Cell<u32>], row: usize, stride: usize) -> &[Cell<u32>] {
     words.get(row..row + stride).unwrap_or_default()
-}
-
-#[cfg(eecvs_dsp)]
-#[inline(always)]
-fn word(words: &[Cell<u32>], at: usize) -> u32 {
-    words.get(at).map_or(0, Cell::get)
-}
-
-#[cfg(eecvs_dsp)]
-#[inline(always)]
-fn put(words: &[Cell<u32>], at: usize, word: u32) {
-    if let Some(place) = words.get(at) {
-        place.set(word);
-    }
 }
 
 /// What a segment was made of.

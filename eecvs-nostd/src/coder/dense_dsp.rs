@@ -51,25 +51,16 @@ impl Parts<'_, '_> {
     }
 }
 
-/// What was made of a segment.
+/// What was made of a segment that the walk did not get through.
 pub struct Walked {
     /// The first column that was not visited.
     pub column: u32,
     pub occupied: u32,
     pub first_on: u32,
     pub last_on: u32,
-    pub end: End,
-}
-
-/// How a segment ended.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub enum End {
-    /// After its last column.
-    Done,
-    /// At a column that the loop in Rust has to see to.
-    Left,
-    /// With the window's last event, or where the output is full.
-    Over,
+    /// The loop in Rust has to see to that column; else the window's last event was coded, or the output
+    /// is full.
+    pub goes_on: bool,
 }
 
 /// What the assembly knows; it addresses all from `rates` on.
@@ -166,6 +157,8 @@ struct Walk<'b> {
     north_on_row: *const u32,
     here_row: *mut u32,
     here_on_row: *mut u32,
+    south_row: *const u32,
+    last_on_row: *mut u32,
     /// Of the segment to the west.
     made: u32,
     made_on: u32,
@@ -235,7 +228,7 @@ const fn of_last(is_late: bool) -> [u8; 16] {
 const OF_LAST_TWICE: [[u8; 16]; 2] = [of_last(false), of_last(true)];
 
 /// The walk over a row's segments.
-pub struct Row<'r, 'p, 'w, const HAS_PREVIOUS: bool> {
+pub struct Row<'r, 'p, 'w> {
     walk: Walk<'r>,
     advance: Advance<'r, 'p, 'w>,
     coder: RangeParts<'r>,
@@ -246,7 +239,7 @@ pub struct Row<'r, 'p, 'w, const HAS_PREVIOUS: bool> {
     pub ahead: usize,
 }
 
-impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
+impl<'r, 'p, 'w> Row<'r, 'p, 'w> {
     /// At the start of a row, where the walk is made for its cells.
     #[inline(always)]
     pub fn new(
@@ -328,6 +321,8 @@ impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
             north_on_row: null(),
             here_row: null_mut(),
             here_on_row: null_mut(),
+            south_row: null(),
+            last_on_row: null_mut(),
             made: 0,
             made_on: 0,
             north_here: 0,
@@ -359,83 +354,6 @@ impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
         }
     }
 
-    /// Whether there is room for a segment's flag, and its columns up to the first pixel.
-    #[inline(always)]
-    pub fn has_room(&self) -> bool {
-        self.walk.out <= self.walk.pixel_room
-    }
-
-    /// A decision, for which there is room.
-    #[inline(always)]
-    pub fn bit(&mut self, probability: &mut Probability, bit: bool) {
-        // SAFETY: it writes a byte at the most, where `has_room` was asked for, and the probability.
-        unsafe { decide(&mut self.walk, probability, u32::from(bit)) };
-    }
-
-    /// The columns of the segment ahead, as many as the sensor has of it.
-    #[inline(always)]
-    pub fn columns(&mut self, seen: &Columns, columns: u32) -> Walked {
-        let at = SEGMENT_PIXELS as usize * self.ahead;
-        let end = at + columns as usize;
-        if self.lists.len() < end || self.lasts.len() < end || columns == 0 || columns > 32 {
-            return Walked {
-                column: 0,
-                occupied: 0,
-                first_on: 0,
-                last_on: 0,
-                end: End::Left,
-            };
-        }
-        let walk = &mut self.walk;
-        let told = self.advance.parts.group.columns;
-        walk.told = told;
-        walk.told_all = told;
-        walk.west = told << 2 | seen.west;
-        walk.north_west = seen.north_west;
-        walk.north = seen.north;
-        walk.north_east = seen.north_east;
-        walk.far_north = seen.far_north;
-        walk.busy = seen.seen | walk.west | walk.west >> 1;
-        walk.quiet = !seen.seen.reverse_bits();
-        if columns < 32 {
-            walk.quiet &= !(u32::MAX >> columns);
-        }
-        walk.columns = columns;
-        walk.last_column = columns - 1;
-        walk.entries = self.advance.parts.group.entries.as_mut_ptr();
-        walk.slots = self.advance.parts.window.slots().as_mut_ptr();
-        walk.lists = self.lists.as_mut_ptr().wrapping_add(at);
-        walk.lasts = self.lasts.as_mut_ptr().wrapping_add(at);
-        walk.runs = self.runs.wrapping_add(8 * (seen.crowd % 4) + 31);
-        walk.first_on = 0;
-        walk.west_on = seen.west_on;
-        walk.north_west_on = seen.north_west_on;
-        walk.north_on = seen.north_on;
-        walk.north_east_on = seen.north_east_on;
-        walk.advance = (&raw mut self.advance).cast();
-        if HAS_PREVIOUS {
-            walk.old = seen.old;
-            walk.later = seen.later;
-            walk.old_on = seen.old_on;
-            walk.last_on = 0;
-        }
-        // SAFETY: the pointers are those of exclusive references that outlive the call. The assembly
-        // reads and writes entries of columns below 32 and slots at their heads and links, all of which
-        // `Group` has made of slots that are there; reads and writes lists and last events of the
-        // segment's columns, and reads the last event to the west of one that has it, which is no
-        // sensor's first; has contexts that are sums of bounded parts, as the twin in Rust, and symbols
-        // of cells below `clock.cells`; and writes bytes from `out` on: at the most `EVENT_BYTES_MAX`
-        // from `room` on for an event, and flags and a first event from `pixel_room` on, which is
-        // `FLAGS_BYTES_MAX` before. The build script sets `eecvs_dsp` only for cores that have the
-        // instructions.
-        let how = unsafe { walk_columns_after(walk) };
-        let walked = self.walked(how);
-        if walked.end == End::Done {
-            self.ahead = self.advance.parts.segment_of(self.advance.y);
-        }
-        walked
-    }
-
     /// What was made of the segment ahead.
     #[inline(always)]
     fn walked(&mut self, how: u32) -> Walked {
@@ -445,75 +363,94 @@ impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
             occupied: walk.told_all & !walk.told,
             first_on: walk.first_on,
             last_on: walk.last_on,
-            end: match how {
-                DONE => End::Done,
-                LEFT => End::Left,
-                _ => End::Over,
-            },
+            goes_on: how == LEFT,
         };
-        self.advance.parts.group.columns = walk.told;
-        if walked.end == End::Over {
+        let Parts {
+            group,
+            window,
+            pixel,
+            at,
+            rest,
+            ..
+        } = &mut self.advance.parts;
+        group.columns = walk.told;
+        if !walked.goes_on {
             walked.last_on |= (walk.link & 1) << (walk.column & 31);
             let next = walk.link >> NEXT_SHIFT;
-            let is_there = (next as usize) < self.advance.parts.window.slots().len();
-            if how == FULL && is_there {
-                *self.advance.parts.pixel = Some(Pixel {
-                    x: (SEGMENT_PIXELS as u32 * self.ahead as u32 + walk.column) as u16,
+            if how == FULL && (next as usize) < window.slots().len() {
+                **pixel = Some(Pixel {
+                    x: (u32::from(SEGMENT_PIXELS) * walk.segment + walk.column) as u16,
                     y: self.advance.y as u16,
                     on: 0,
                     off: 0,
                     head: next,
                 });
-                *self.advance.parts.at = next;
-                *self.advance.parts.rest = 1;
+                (**at, **rest) = (next, 1);
             }
         }
         walked
     }
 
-    /// All segments of a row without the window before; what was made of the one that it ended at, and
-    /// which that was, or which one's flag is left.
-    ///
-    /// `rows` are the words of the row above, the polarities there, those two above, and here.
+    /// All segments of a row; what was made of the one that it ended at, and which that was, or which
+    /// one's flag is left.
     #[inline(always)]
     pub fn segments(
         &mut self,
         segments: &mut [Probability; SEGMENT_CONTEXTS],
-        [north, north_on, far_north, here, here_on]: [&[Cell<u32>]; 5],
-        width: usize,
+        words: &Words<'_>,
+        (width, has_previous): (usize, bool),
     ) -> (u32, Option<Walked>, u32) {
         let stride = width.div_ceil(SEGMENT_PIXELS as usize);
-        let above = |row: &[Cell<u32>]| match row.len() {
-            0 => ZEROS.as_ptr(),
-            _ => row.as_ptr().cast::<u32>(),
-        };
-        let is_row = |row: &[Cell<u32>]| row.is_empty() || row.len() >= stride;
+        let seen = [words.north, words.north_on, words.far_north, words.south];
+        let made = [words.here, words.here_on, words.last_here];
         if stride == 0
             || stride > ZEROS.len()
-            || here.len() < stride
-            || here_on.len() < stride
-            || ![north, north_on, far_north].into_iter().all(is_row)
+            || made.into_iter().any(|row| row.len() < stride)
+            || seen
+                .into_iter()
+                .any(|row| !row.is_empty() && row.len() < stride)
             || self.lists.len() < width
             || self.lasts.len() < width
         {
             return (0, None, 0);
         }
+        let [north, north_on, far_north, south] = seen.map(|row| match row.len() {
+            0 => ZEROS.as_ptr(),
+            _ => row.as_ptr().cast::<u32>(),
+        });
+        let [here, here_on, last_here] = made.map(|row| row.as_ptr().cast::<u32>().cast_mut());
         let walk = &mut self.walk;
         walk.last_segment = stride as u32 - 1;
         walk.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
         walk.ahead = self.ahead as u32;
         walk.segments = segments.as_mut_ptr();
-        walk.north_row = above(north);
-        walk.far_north_row = above(far_north);
-        walk.north_on_row = above(north_on);
-        walk.here_row = here.as_ptr().cast::<u32>().cast_mut();
-        walk.here_on_row = here_on.as_ptr().cast::<u32>().cast_mut();
+        walk.north_row = north;
+        walk.far_north_row = far_north;
+        walk.north_on_row = north_on;
+        walk.south_row = south;
+        walk.here_row = here;
+        walk.here_on_row = here_on;
+        walk.last_on_row = last_here;
         walk.columns_told = &raw mut self.advance.parts.group.columns;
         walk.advance = (&raw mut self.advance).cast();
-        // SAFETY: as of `columns`; and the rows' words are cells, as many as the segments, of which only
-        // those here are written, or zeros. `advance` has the only references to the group and the
-        // window while it runs, and the assembly asks for nothing of them that it may move.
-        let how = unsafe { walk_columns(walk) };
+        // SAFETY: the pointers are those of exclusive references that outlive the call, of cells that only
+        // this writes while it runs, or of zeros, which it reads. The assembly reads and writes as many
+        // words of the rows as there are segments; entries of columns below 32 and slots at their heads and
+        // links, all of which `Group` has made of slots that are there; lists and last events of the
+        // sensor's columns, and reads the last event to the west of one that has it, which is no sensor's
+        // first. Its contexts are sums of bounded parts, as the twin's in Rust, and its symbols those of
+        // cells below `clock.cells`, where those of a window's events are. It writes bytes from `out` on,
+        // where there is room for a segment's flags and first event from `pixel_room` on, and for another
+        // event from `room` on. `advance` and `follow` have the only references to the group, the window,
+        // the clock and the times while they run. The build script sets `eecvs_dsp` only for cores that
+        // have the instructions.
+        let how = unsafe {
+            if has_previous {
+                walk_row_after(walk)
+            } else {
+                walk_row(walk)
+            }
+        };
         let segment = self.walk.segment;
         self.ahead = self.walk.ahead as usize;
         match how {
@@ -522,13 +459,6 @@ impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
             _ => {
                 let walked = self.walked(how);
                 let pixels = self.advance.pixels + walked.occupied.count_ones();
-                if walked.end == End::Over {
-                    for (row, word) in [(here, walked.occupied), (here_on, walked.first_on)] {
-                        if let Some(place) = row.get(segment as usize) {
-                            place.set(word);
-                        }
-                    }
-                }
                 (segment, Some(walked), pixels)
             }
         }
@@ -552,6 +482,20 @@ impl<'r, 'p, 'w, const HAS_PREVIOUS: bool> Row<'r, 'p, 'w, HAS_PREVIOUS> {
         *coder.len = walk.out.addr() - walk.start.addr();
         events
     }
+}
+
+/// Words of the rows around one; no words where there is no row.
+pub struct Words<'r> {
+    /// Of the row above: occupied columns, and polarities of first events.
+    pub north: &'r [Cell<u32>],
+    pub north_on: &'r [Cell<u32>],
+    /// The one above that, and the one below in the window before.
+    pub far_north: &'r [Cell<u32>],
+    pub south: &'r [Cell<u32>],
+    /// Here, where those of the window before are, and the polarities of last events.
+    pub here: &'r [Cell<u32>],
+    pub here_on: &'r [Cell<u32>],
+    pub last_here: &'r [Cell<u32>],
 }
 
 /// Whether a row's walk is made for these cells.
@@ -634,6 +578,7 @@ unsafe extern "C" fn follow(
     let mut content = Events {
         slots: advance.parts.window.slots(),
         slot: Slot::new(cell, link >> NEXT_SHIFT, link),
+        at: 0,
         is_more: true,
         left: walk.left,
     };
@@ -646,7 +591,7 @@ unsafe extern "C" fn follow(
     let pixel = advance
         .clock
         .pixel(times, &mut coder, &mut content, first_on, neighbours);
-    let (left, next) = (content.left, content.slot.next());
+    let (left, next) = (content.left, content.at);
     let is_more = content.is_more;
     walk.last_length = advance.clock.last_length;
     walk.left = left;
@@ -664,6 +609,8 @@ unsafe extern "C" fn follow(
 struct Events<'s> {
     slots: &'s [Slot],
     slot: Slot,
+    /// Number of the next one, once one was taken.
+    at: u32,
     is_more: bool,
     left: u32,
 }
@@ -698,7 +645,8 @@ impl Content for Events<'_> {
     #[inline(always)]
     fn take(&mut self, _cell: u32, _on: bool) {
         self.left = self.left.saturating_sub(1);
-        match self.slots.get(self.slot.next() as usize) {
+        self.at = self.slot.next();
+        match self.slots.get(self.at as usize) {
             Some(slot) => self.slot = *slot,
             None => self.is_more = false,
         }
@@ -1116,7 +1064,7 @@ macro_rules! few {
 
 /// A row's segments.
 macro_rules! row {
-    () => {
+    ($any_old:expr, $few_old:expr, $sees_old:expr, $put_old:expr) => {
         concat!(
             "50:\n",
             "ldr r12, [r11, #{pixel_room}]\n",
@@ -1134,12 +1082,13 @@ macro_rules! row {
             "ldr r2, [r11, #{made}]\n",
             "movs r3, #0\n",
             "orr r12, r0, r1\n",
+            $any_old,
             "orrs r12, r12, r2\n",
             "beq 51f\n",
             few!("r3", "r2"),
             "lsls r3, r3, #2\n",
             few!("r3", "r0"),
-            "lsls r3, r3, #4\n",
+            $few_old,
             few!("r3", "r1"),
             // r3: context of its flag.
             "51:\n",
@@ -1156,6 +1105,7 @@ macro_rules! row {
             "ldrd r2, r3, [r11, #{here_row}]\n",
             "str r0, [r2, r5, lsl #2]\n",
             "str r1, [r3, r5, lsl #2]\n",
+            $put_old,
             "cmp r5, r6\n",
             "beq 59f\n",
             "adds r5, #1\n",
@@ -1209,6 +1159,7 @@ macro_rules! row {
             "orrs r1, r3\n",
             "orr r1, r1, lr\n",
             "orrs r1, r6\n",
+            $sees_old,
             "orr r6, r2, r2, lsr #1\n",
             "orrs r6, r1\n",
             "str r6, [r11, #-4]\n",
@@ -1268,8 +1219,8 @@ macro_rules! row {
     };
 }
 
-macro_rules! walk_columns {
-    ($name:ident, $see_old:expr, $polarity_old:expr, $last_old:expr, $begin:expr, $row:expr, $done:expr) => {
+macro_rules! walk_row {
+    ($name:ident, $see_old:expr, $polarity_old:expr, $last_old:expr, $row:expr) => {
 /// # Safety
 /// As `walk` has it.
 #[unsafe(naked)]
@@ -1283,7 +1234,7 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         "ldrd r8, r9, [r11, #{range}]",
         "ldr r10, [r11, #{out}]",
         "ldr r4, [r11, #{left}]",
-        $begin,
+                "b 50f",
         "5:",
         "movs r5, #0",
         // The next pixel.
@@ -1632,10 +1583,7 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         "b 75f",
         $row,
         "71:",
-        $done,
-        "movs r0, #{done}",
-        "str r5, [r11, #{column}]",
-        "b 75f",
+                "b 55b",
         "72:",
         "str r5, [r11, #{column}]",
         "76:",
@@ -1657,7 +1605,6 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         renew_distance = sym renew_distance,
         rates = const offset_of!(Walk<'_>, rates),
         no_slot = const NO_SLOT,
-        done = const DONE,
         left_to = const LEFT,
         over = const OVER,
         full = const FULL,
@@ -1695,7 +1642,9 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         old = const at(offset_of!(Walk<'_>, old)),
         later = const at(offset_of!(Walk<'_>, later)),
         old_on = const at(offset_of!(Walk<'_>, old_on)),
-        last_on = const at(offset_of!(Walk<'_>, last_on)),
+        south_row = const at(offset_of!(Walk<'_>, south_row)),
+                last_on_row = const at(offset_of!(Walk<'_>, last_on_row)),
+                last_on = const at(offset_of!(Walk<'_>, last_on)),
         first_on = const at(offset_of!(Walk<'_>, first_on)),
         west_on = const at(offset_of!(Walk<'_>, west_on)),
         north_on = const at(offset_of!(Walk<'_>, north_on)),
@@ -1733,17 +1682,15 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
     };
 }
 
-walk_columns!(
-    walk_columns,
+walk_row!(
+    walk_row,
     "",
-    "/* {old} {later} {old_on} {last_on} */",
+    "/* {old} {later} {old_on} {last_on} {south_row} {last_on_row} */",
     "",
-    "b 50f",
-    row!(),
-    "b 55b"
+    row!("", "lsls r3, r3, #4\n", "", "")
 );
-walk_columns!(
-    walk_columns_after,
+walk_row!(
+    walk_row_after,
     concat!(
         "ldrd r1, r2, [r11, #{old}]\n",
         "ldr r3, [r11, #{later} + 4]\n",
@@ -1769,9 +1716,67 @@ walk_columns!(
         "orrs r3, r2\n",
         "str r3, [r11, #{last_on}]\n",
     ),
-    "",
-    "/* {segment} {last_columns} {ahead} {north_row} {far_north_row} {north_on_row} {here_row} {made} */
-    /* {north_here} {north_next} {crowds} {all_lists} {columns_told} {advance} {told_all} */
-    /* {north_west_on} {row_end} {flag} */",
-    ""
+    row!(
+        concat!(
+            "ldr r7, [r11, #{here_row}]\n",
+            "ldr r7, [r7, r5, lsl #2]\n",
+            "orr r12, r12, r7\n",
+        ),
+        concat!("lsls r3, r3, #2\n", few!("r3", "r7"), "lsls r3, r3, #2\n"),
+        concat!(
+            "push {{r1, r2, r3, r7, r12}}\n",
+            "ldr r6, [r11, #{here_row}]\n",
+            "add r6, r6, r5, lsl #2\n",
+            "ldr r0, [r6]\n",
+            "ldr r3, [r11, #{segment} + 4]\n",
+            "movs r2, #0\n",
+            "mov r12, #0\n",
+            "cmp r5, r3\n",
+            "it ne\n",
+            "ldrne r2, [r6, #4]\n",
+            "ldr r6, [r11, #{south_row}]\n",
+            "add r6, r6, r5, lsl #2\n",
+            "ldr r7, [r6]\n",
+            "it ne\n",
+            "ldrne r12, [r6, #4]\n",
+            "movs r1, #0\n",
+            "cmp r5, #0\n",
+            "it ne\n",
+            "ldrne r1, [r6, #-4]\n",
+            // To the east, and of the row below in the south-west, south and south-east.
+            "lsr lr, r0, #1\n",
+            "orr lr, lr, r2, lsl #31\n",
+            "lsrs r1, r1, #31\n",
+            "orr r1, r1, r7, lsl #1\n",
+            "lsrs r2, r7, #1\n",
+            "orr r2, r2, r12, lsl #31\n",
+            // How many of the four.
+            "eor r3, lr, r1\n",
+            "and lr, lr, r1\n",
+            "eor r1, r7, r2\n",
+            "ands r7, r2\n",
+            "eor r2, r3, r1\n",
+            "and r12, lr, r7\n",
+            "orr r2, r2, r12\n",
+            "orr lr, lr, r7\n",
+            "ands r3, r1\n",
+            "orr r3, r3, lr\n",
+            "strd r0, r2, [r11, #{old}]\n",
+            "ldr r1, [r11, #{last_on_row}]\n",
+            "ldr r1, [r1, r5, lsl #2]\n",
+            "ands r1, r0\n",
+            "strd r3, r1, [r11, #{later} + 4]\n",
+            "orrs r2, r0\n",
+            "orr lr, r2, r3\n",
+            "pop {{r1, r2, r3, r7, r12}}\n",
+            "orr r1, r1, lr\n",
+        ),
+        concat!(
+            "ldr r2, [r11, #{last_on}]\n",
+            "ldr r3, [r11, #{last_on_row}]\n",
+            "str r2, [r3, r5, lsl #2]\n",
+            "movs r2, #0\n",
+            "str r2, [r11, #{last_on}]\n",
+        )
+    )
 );
