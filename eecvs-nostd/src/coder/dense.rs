@@ -149,8 +149,11 @@ impl<'b> Dense<'b> {
         content: &mut T,
         times: Times,
     ) -> Coded {
+        let clock = Clock::new(times.count(), times.fine_bits());
         let mut frame = Frame {
-            clock: Clock::new(times.count(), times.fine_bits()),
+            #[cfg(eecvs_dsp)]
+            walk: dense_dsp::Walk::new(&clock),
+            clock,
             coded: Coded {
                 events: 0,
                 pixels: 0,
@@ -221,23 +224,26 @@ impl<'b> Dense<'b> {
         #[cfg(eecvs_dsp)]
         if dense_dsp::serves(&frame.clock) {
             let all = (&mut *coder, &mut *content);
-            let walked = self.walk_row(all, (y, row, &rows, following), frame);
-            if let Walk::Segment(at) | Walk::Columns(at, ..) = &walked {
-                // What is seen there.
-                for segment in 0..*at {
-                    let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
-                    let made = word(self.occupied, row + segment);
-                    let made_on = word(self.first_on, rows.first_here + segment);
-                    let east = self.east(&rows, segment + 1, true);
-                    around.go_on((made, made_on), &east);
+            if let Some(walked) = self.walk_row(all, (y, row, &rows, following), frame) {
+                segment = walked.segment;
+                if walked.goes_on && segment >= stride {
+                    return true;
                 }
-            }
-            match walked {
-                Walk::None => {}
-                Walk::Whole => return true,
-                Walk::Segment(at) => segment = at,
-                Walk::Columns(at, from, made) => (segment, begun) = (at, Some((from, made))),
-                Walk::Over(at) => (segment, goes_on) = (at + 1, false),
+                let made = Made {
+                    occupied: walked.occupied,
+                    first_on: walked.first_on,
+                    last_on: walked.last_on,
+                };
+                if walked.goes_on {
+                    around = self.around(&rows, row, segment);
+                    begun = walked.column.map(|column| (column, made));
+                } else {
+                    goes_on = false;
+                    set(self.occupied, row + segment, made.occupied);
+                    set(self.last_on, row + segment, made.last_on);
+                    set(self.first_on, rows.first_here + segment, made.first_on);
+                    segment += 1;
+                }
             }
         }
         while goes_on && segment < stride {
@@ -265,7 +271,23 @@ impl<'b> Dense<'b> {
         goes_on
     }
 
-    /// The same of an encoder by [`dense_dsp`], as far as that goes.
+    /// What is seen at a segment, those before which have been coded.
+    #[cfg(eecvs_dsp)]
+    #[cold]
+    fn around(&self, rows: &Rows, row: usize, segment: usize) -> Around {
+        let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
+        let mut around = Around::default();
+        around.go_on((0, 0), &self.east(rows, 0, false));
+        around.go_on((0, 0), &self.east(rows, 0, true));
+        for before in 0..segment {
+            let made = word(self.occupied, row + before);
+            let made_on = word(self.first_on, rows.first_here + before);
+            around.go_on((made, made_on), &self.east(rows, before + 1, true));
+        }
+        around
+    }
+
+    /// The segments of an encoder's row by [`dense_dsp`], as far as that goes.
     #[cfg(eecvs_dsp)]
     #[inline(never)]
     fn walk_row<C: Binary, T: Content>(
@@ -273,19 +295,9 @@ impl<'b> Dense<'b> {
         (coder, content): (&mut C, &mut T),
         (y, row, rows, following): (usize, usize, &Rows, Following),
         frame: &mut Frame,
-    ) -> Walk {
+    ) -> Option<dense_dsp::Walked> {
         let (stride, has_previous) = (self.stride, self.has_previous);
         let width = usize::from(self.sensor.width);
-        let Model {
-            segments,
-            runs,
-            pixels,
-            polarities,
-            times,
-            ..
-        } = &mut *self.model;
-        let learned = (runs, pixels, polarities, times);
-        let lists = (&mut *self.lists, &mut *self.lasts);
         let occupied = Cell::from_mut(&mut *self.occupied).as_slice_of_cells();
         let last_on = Cell::from_mut(&mut *self.last_on).as_slice_of_cells();
         let first_on = Cell::from_mut(&mut *self.first_on).as_slice_of_cells();
@@ -298,40 +310,23 @@ impl<'b> Dense<'b> {
             here_on: row_of(first_on, rows.first_here, stride),
             last_here: row_of(last_on, row, stride),
         };
-        let Some(coder) = coder.parts() else {
-            return Walk::None;
-        };
-        let clock = &mut frame.clock;
+        let coder = coder.parts()?;
+        let (learned, lists) = (&mut *self.model, (&mut *self.lists, &mut *self.lasts));
+        let Frame { clock, walk, coded } = frame;
         let walked = content.with_parts(|parts| {
-            let place = (y, following);
-            let mut walk = dense_dsp::Row::new(coder, parts, learned, lists, place, clock);
-            let (segment, walked, pixels) = walk.segments(segments, &words, (width, has_previous));
-            (segment as usize, walked, pixels, walk.finish())
-        });
-        let Some((segment, walked, pixels, events)) = walked else {
-            return Walk::None;
-        };
-        frame.coded.pixels += pixels;
-        frame.coded.events += events;
-        let Some(walked) = walked else {
-            return if segment < stride {
-                Walk::Segment(segment)
-            } else {
-                Walk::Whole
-            };
-        };
-        let made = Made {
-            occupied: walked.occupied,
-            first_on: walked.first_on,
-            last_on: walked.last_on,
-        };
-        if walked.goes_on {
-            return Walk::Columns(segment, walked.column, made);
-        }
-        set(self.occupied, row + segment, made.occupied);
-        set(self.last_on, row + segment, made.last_on);
-        set(self.first_on, rows.first_here + segment, made.first_on);
-        Walk::Over(segment)
+            let place = (y, width, following);
+            walk.row(
+                (coder, parts),
+                (learned, clock),
+                lists,
+                &words,
+                place,
+                has_previous,
+            )
+        })?;
+        coded.pixels += walked.pixels;
+        coded.events += walked.events;
+        Some(walked)
     }
 
     /// Where the rows around one begin.
@@ -503,20 +498,6 @@ struct Rows {
 /// Beyond all words, and no segment's number leads from it to any.
 const NO_ROW: usize = usize::MAX / 2;
 
-/// How far [`Dense::walk_row`] went.
-#[cfg(eecvs_dsp)]
-enum Walk {
-    /// It is not for such frames.
-    None,
-    Whole,
-    /// To a segment's flag.
-    Segment(usize),
-    /// Within a segment, to a column before which these were made.
-    Columns(usize, u32, Made),
-    /// To the end of the window or of the output, in a segment.
-    Over(usize),
-}
-
 #[cfg(eecvs_dsp)]
 #[inline(always)]
 fn row_of(words: &[Cell<u32>], row: usize, stride: usize) -> &[Cell<u32>] {
@@ -535,6 +516,8 @@ struct Made {
 struct Frame {
     clock: Clock,
     coded: Coded,
+    #[cfg(eecvs_dsp)]
+    walk: dense_dsp::Walk,
 }
 
 #[cfg(test)]

@@ -9,7 +9,6 @@
 
 use core::arch::naked_asm;
 use core::cell::Cell;
-use core::marker::PhantomData;
 use core::mem::offset_of;
 use core::ptr::{null, null_mut};
 
@@ -18,9 +17,7 @@ use super::dense_times::{
     COARSE, Clock, DISTANCES, EVENT_BYTES_MAX, FIRST_BITS, FIRST_SYMBOLS, Following, LASTS,
     Neighbour, OF_LAST, OF_LAST_LATE, OF_LAST_MORE, RESTS, Times,
 };
-use super::neighbourhood::{
-    Columns, PIXEL_CONTEXTS, POLARITY_CONTEXTS, RUN_CONTEXTS, SEGMENT_CONTEXTS,
-};
+use super::model::Model;
 use super::range::{
     Binary, FINISH_BYTES, PLAIN_BITS, Probability, RANGE_MIN, RATES, RangeParts, SCALE, carry,
 };
@@ -40,32 +37,41 @@ pub struct Parts<'p, 'w> {
     pub(crate) rest: &'p mut u32,
 }
 
-impl Parts<'_, '_> {
-    /// The next segment of row `y` that has events, beyond all where there is none.
-    #[inline(always)]
-    fn segment_of(&mut self, y: usize) -> usize {
-        match self.group.peek(self.window) {
-            Some((x, row)) if usize::from(row) == y => usize::from(x / SEGMENT_PIXELS),
-            _ => usize::MAX,
-        }
-    }
-}
-
-/// What was made of a segment that the walk did not get through.
+/// How far a row was coded.
 pub struct Walked {
-    /// The first column that was not visited.
-    pub column: u32,
+    /// Its first segment that was not coded as a whole.
+    pub segment: usize,
+    /// That one's first column that was not visited; `None` where its flag was not coded.
+    pub column: Option<u32>,
+    /// What was made of it.
     pub occupied: u32,
     pub first_on: u32,
     pub last_on: u32,
-    /// The loop in Rust has to see to that column; else the window's last event was coded, or the output
+    /// Events and pixels coded.
+    pub events: u32,
+    pub pixels: u32,
+    /// The loop in Rust has to see to what is left; else the window's last event was coded, or the output
     /// is full.
     pub goes_on: bool,
 }
 
+impl Walked {
+    const NOTHING: Self = Self {
+        segment: 0,
+        column: None,
+        occupied: 0,
+        first_on: 0,
+        last_on: 0,
+        events: 0,
+        pixels: 0,
+        goes_on: true,
+    };
+}
+
 /// What the assembly knows; it addresses all from `rates` on.
+#[derive(Debug)]
 #[repr(C)]
-struct Walk<'b> {
+pub struct Walk {
     // What the columns see.
     west: u32,
     north_west: u32,
@@ -169,12 +175,10 @@ struct Walk<'b> {
     all_lists: *mut u32,
     all_lasts: *mut u32,
     columns_told: *mut u32,
-    advance: *mut Advance<'b, 'b, 'b>,
+    advance: *mut Advance<'static, 'static, 'static>,
     /// Whether the row follows, 1 or 0, and the list that the column had before.
     follows: u32,
     north_list: u32,
-    /// Ties the pointers to what they point to.
-    borrowed: PhantomData<&'b mut ()>,
 }
 
 /// What the assembly does not do itself: going on to the next segment, and the events of pixels in rows
@@ -188,10 +192,21 @@ struct Advance<'r, 'p, 'w> {
     following: Following,
 }
 
+impl Advance<'_, '_, '_> {
+    /// The next segment of the row that has events, beyond all where there is none.
+    #[inline(always)]
+    fn segment(&mut self) -> u32 {
+        match self.parts.group.peek(self.parts.window) {
+            Some((x, row)) if usize::from(row) == self.y => u32::from(x / SEGMENT_PIXELS),
+            _ => u32::MAX,
+        }
+    }
+}
+
 /// Counts the pixels of a segment and goes to the next that has events.
 unsafe extern "C" fn advance(advance: &mut Advance<'_, '_, '_>, occupied: u32) -> u32 {
     advance.pixels += occupied.count_ones();
-    advance.parts.segment_of(advance.y) as u32
+    advance.segment()
 }
 
 /// Bytes that a segment's flags and an event take at the most, beyond what is asked for before an event.
@@ -227,34 +242,10 @@ const fn of_last(is_late: bool) -> [u8; 16] {
 
 const OF_LAST_TWICE: [[u8; 16]; 2] = [of_last(false), of_last(true)];
 
-/// The walk over a row's segments.
-pub struct Row<'r, 'p, 'w> {
-    walk: Walk<'r>,
-    advance: Advance<'r, 'p, 'w>,
-    coder: RangeParts<'r>,
-    runs: *mut Probability,
-    lists: &'r mut [u32],
-    lasts: &'r mut [u32],
-    /// The next of its segments that has events.
-    pub ahead: usize,
-}
-
-impl<'r, 'p, 'w> Row<'r, 'p, 'w> {
-    /// At the start of a row, where the walk is made for its cells.
-    #[inline(always)]
-    pub fn new(
-        coder: RangeParts<'r>,
-        mut parts: Parts<'p, 'w>,
-        (runs, pixels, polarities, times): Learned<'r>,
-        (lists, lasts): (&'r mut [u32], &'r mut [u32]),
-        (y, following): (usize, Following),
-        clock: &'r mut Clock,
-    ) -> Self {
-        let out = coder.out.as_mut_ptr();
-        let end = out.wrapping_add(coder.out.len());
-        let room = end.wrapping_sub(FINISH_BYTES + EVENT_BYTES_MAX);
-        let ahead = parts.segment_of(y);
-        let walk = Walk {
+impl Walk {
+    /// Before the first row of a frame, for these cells.
+    pub(super) const fn new(clock: &Clock) -> Self {
+        Self {
             west: 0,
             north_west: 0,
             north: 0,
@@ -266,29 +257,29 @@ impl<'r, 'p, 'w> Row<'r, 'p, 'w> {
             of_last: OF_LAST_TWICE[0],
             of_last_late: OF_LAST_TWICE[1],
             of_last_more: OF_LAST_MORE,
-            range: *coder.range,
-            low: *coder.low,
-            out: out.wrapping_add(*coder.len),
-            start: out,
-            room,
-            pixel_room: room.wrapping_sub(FLAGS_BYTES_MAX),
+            range: 0,
+            low: 0,
+            out: null_mut(),
+            start: null_mut(),
+            room: null_mut(),
+            pixel_room: null_mut(),
             told: 0,
             told_all: 0,
             quiet: 0,
             columns: 0,
             last_column: 0,
-            entries: parts.group.entries.as_mut_ptr(),
-            slots: parts.window.slots().as_mut_ptr(),
-            lists: lists.as_mut_ptr(),
-            lasts: lasts.as_mut_ptr(),
-            pixels: pixels.as_mut_ptr(),
-            runs: runs.as_mut_ptr(),
-            polarities: polarities.as_mut_ptr(),
-            more: times.more.as_mut_ptr(),
-            flips: times.flips.as_mut_ptr(),
-            first: &raw mut times.first,
+            entries: null_mut(),
+            slots: null_mut(),
+            lists: null_mut(),
+            lasts: null_mut(),
+            pixels: null_mut(),
+            runs: null_mut(),
+            polarities: null_mut(),
+            more: null_mut(),
+            flips: null_mut(),
+            first: null_mut(),
             plain_bits: clock.bits.wrapping_sub(FIRST_BITS),
-            distances: times.distances.as_mut_ptr(),
+            distances: null_mut(),
             half: 32 - clock.bits,
             cells: clock.cells,
             rest_from: 32 - clock.bits + RESTS as u32 - 1,
@@ -305,12 +296,12 @@ impl<'r, 'p, 'w> Row<'r, 'p, 'w> {
             last_on: 0,
             west_last: 0,
             north_last: 0,
-            last_length: clock.last_length,
+            last_length: 0,
             before: 0,
             number: 0,
             column: 0,
             link: 0,
-            left: *parts.left,
+            left: 0,
             segment: 0,
             last_segment: 0,
             last_columns: 0,
@@ -327,79 +318,29 @@ impl<'r, 'p, 'w> Row<'r, 'p, 'w> {
             made_on: 0,
             north_here: 0,
             north_next: 0,
-            crowds: runs.as_mut_ptr().wrapping_add(31),
-            all_lists: lists.as_mut_ptr(),
-            all_lasts: lasts.as_mut_ptr(),
+            crowds: null_mut(),
+            all_lists: null_mut(),
+            all_lasts: null_mut(),
             columns_told: null_mut(),
             advance: null_mut(),
-            follows: u32::from(following != Following::Not),
+            follows: 0,
             north_list: 0,
-            borrowed: PhantomData,
-        };
-        Self {
-            walk,
-            advance: Advance {
-                parts,
-                y,
-                pixels: 0,
-                times,
-                clock,
-                following,
-            },
-            coder,
-            runs: runs.as_mut_ptr(),
-            lists,
-            lasts,
-            ahead,
         }
     }
 
-    /// What was made of the segment ahead.
+    /// Codes all segments of a row, or those up to where it ends.
+    ///
+    /// `lists` and `lasts` are the sensor's.
     #[inline(always)]
-    fn walked(&mut self, how: u32) -> Walked {
-        let walk = &self.walk;
-        let mut walked = Walked {
-            column: walk.column,
-            occupied: walk.told_all & !walk.told,
-            first_on: walk.first_on,
-            last_on: walk.last_on,
-            goes_on: how == LEFT,
-        };
-        let Parts {
-            group,
-            window,
-            pixel,
-            at,
-            rest,
-            ..
-        } = &mut self.advance.parts;
-        group.columns = walk.told;
-        if !walked.goes_on {
-            walked.last_on |= (walk.link & 1) << (walk.column & 31);
-            let next = walk.link >> NEXT_SHIFT;
-            if how == FULL && (next as usize) < window.slots().len() {
-                **pixel = Some(Pixel {
-                    x: (u32::from(SEGMENT_PIXELS) * walk.segment + walk.column) as u16,
-                    y: self.advance.y as u16,
-                    on: 0,
-                    off: 0,
-                    head: next,
-                });
-                (**at, **rest) = (next, 1);
-            }
-        }
-        walked
-    }
-
-    /// All segments of a row; what was made of the one that it ended at, and which that was, or which
-    /// one's flag is left.
-    #[inline(always)]
-    pub fn segments(
+    pub(super) fn row(
         &mut self,
-        segments: &mut [Probability; SEGMENT_CONTEXTS],
+        (coder, parts): (RangeParts<'_>, Parts<'_, '_>),
+        (model, clock): (&mut Model, &mut Clock),
+        (lists, lasts): (&mut [u32], &mut [u32]),
         words: &Words<'_>,
-        (width, has_previous): (usize, bool),
-    ) -> (u32, Option<Walked>, u32) {
+        (y, width, following): (usize, usize, Following),
+        has_previous: bool,
+    ) -> Walked {
         let stride = width.div_ceil(SEGMENT_PIXELS as usize);
         let seen = [words.north, words.north_on, words.far_north, words.south];
         let made = [words.here, words.here_on, words.last_here];
@@ -409,30 +350,57 @@ impl<'r, 'p, 'w> Row<'r, 'p, 'w> {
             || seen
                 .into_iter()
                 .any(|row| !row.is_empty() && row.len() < stride)
-            || self.lists.len() < width
-            || self.lasts.len() < width
+            || lists.len() < width
+            || lasts.len() < width
         {
-            return (0, None, 0);
+            return Walked::NOTHING;
         }
-        let [north, north_on, far_north, south] = seen.map(|row| match row.len() {
+        [
+            self.north_row,
+            self.north_on_row,
+            self.far_north_row,
+            self.south_row,
+        ] = seen.map(|row| match row.len() {
             0 => ZEROS.as_ptr(),
             _ => row.as_ptr().cast::<u32>(),
         });
-        let [here, here_on, last_here] = made.map(|row| row.as_ptr().cast::<u32>().cast_mut());
-        let walk = &mut self.walk;
-        walk.last_segment = stride as u32 - 1;
-        walk.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
-        walk.ahead = self.ahead as u32;
-        walk.segments = segments.as_mut_ptr();
-        walk.north_row = north;
-        walk.far_north_row = far_north;
-        walk.north_on_row = north_on;
-        walk.south_row = south;
-        walk.here_row = here;
-        walk.here_on_row = here_on;
-        walk.last_on_row = last_here;
-        walk.columns_told = &raw mut self.advance.parts.group.columns;
-        walk.advance = (&raw mut self.advance).cast();
+        [self.here_row, self.here_on_row, self.last_on_row] =
+            made.map(|row| row.as_ptr().cast::<u32>().cast_mut());
+        let out = coder.out.as_mut_ptr();
+        let end = out.wrapping_add(coder.out.len());
+        (self.range, self.low) = (*coder.range, *coder.low);
+        (self.start, self.out) = (out, out.wrapping_add(*coder.len));
+        self.room = end.wrapping_sub(FINISH_BYTES + EVENT_BYTES_MAX);
+        self.pixel_room = self.room.wrapping_sub(FLAGS_BYTES_MAX);
+        self.entries = parts.group.entries.as_mut_ptr();
+        self.slots = parts.window.slots().as_mut_ptr();
+        self.segments = model.segments.as_mut_ptr();
+        self.pixels = model.pixels.as_mut_ptr();
+        self.crowds = model.runs.as_mut_ptr().wrapping_add(31);
+        self.polarities = model.polarities.as_mut_ptr();
+        self.more = model.times.more.as_mut_ptr();
+        self.flips = model.times.flips.as_mut_ptr();
+        self.first = &raw mut model.times.first;
+        self.distances = model.times.distances.as_mut_ptr();
+        self.all_lists = lists.as_mut_ptr();
+        self.all_lasts = lasts.as_mut_ptr();
+        (self.segment, self.last_segment) = (0, stride as u32 - 1);
+        self.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
+        (self.made, self.made_on, self.last_on) = (0, 0, 0);
+        self.last_length = clock.last_length;
+        self.left = *parts.left;
+        self.follows = u32::from(following != Following::Not);
+        let mut advance = Advance {
+            parts,
+            y,
+            pixels: 0,
+            times: &raw mut model.times,
+            clock,
+            following,
+        };
+        self.ahead = advance.segment();
+        self.columns_told = &raw mut advance.parts.group.columns;
+        self.advance = (&raw mut advance).cast();
         // SAFETY: the pointers are those of exclusive references that outlive the call, of cells that only
         // this writes while it runs, or of zeros, which it reads. The assembly reads and writes as many
         // words of the rows as there are segments; entries of columns below 32 and slots at their heads and
@@ -446,41 +414,59 @@ impl<'r, 'p, 'w> Row<'r, 'p, 'w> {
         // have the instructions.
         let how = unsafe {
             if has_previous {
-                walk_row_after(walk)
+                walk_row_after(self)
             } else {
-                walk_row(walk)
+                walk_row(self)
             }
         };
-        let segment = self.walk.segment;
-        self.ahead = self.walk.ahead as usize;
+        let Advance {
+            parts,
+            pixels,
+            clock,
+            ..
+        } = advance;
+        clock.last_length = self.last_length;
+        let mut walked = Walked {
+            segment: self.segment as usize,
+            column: None,
+            occupied: 0,
+            first_on: 0,
+            last_on: self.last_on,
+            goes_on: true,
+            events: *parts.left - self.left,
+            pixels,
+        };
+        *parts.left = self.left;
+        (*coder.range, *coder.low) = (self.range, self.low);
+        // Both are of one slice, the first not below the second.
+        *coder.len = self.out.addr() - out.addr();
         match how {
-            ROW => (segment + 1, None, self.advance.pixels),
-            FLAG => (segment, None, self.advance.pixels),
+            ROW => walked.segment += 1,
+            FLAG => {}
             _ => {
-                let walked = self.walked(how);
-                let pixels = self.advance.pixels + walked.occupied.count_ones();
-                (segment, Some(walked), pixels)
+                parts.group.columns = self.told;
+                walked.occupied = self.told_all & !self.told;
+                walked.first_on = self.first_on;
+                walked.column = Some(self.column);
+                walked.pixels += walked.occupied.count_ones();
+                if how != LEFT {
+                    walked.goes_on = false;
+                    walked.last_on |= (self.link & 1) << (self.column & 31);
+                }
+                let next = self.link >> NEXT_SHIFT;
+                if how == FULL && (next as usize) < parts.window.slots().len() {
+                    *parts.pixel = Some(Pixel {
+                        x: (u32::from(SEGMENT_PIXELS) * self.segment + self.column) as u16,
+                        y: y as u16,
+                        on: 0,
+                        off: 0,
+                        head: next,
+                    });
+                    (*parts.at, *parts.rest) = (next, 1);
+                }
             }
         }
-    }
-
-    /// Gives back what the walk had in its registers; returns how many events it coded.
-    #[inline(always)]
-    pub fn finish(self) -> u32 {
-        let Self {
-            walk,
-            advance: Advance { parts, clock, .. },
-            coder,
-            ..
-        } = self;
-        clock.last_length = walk.last_length;
-        let events = *parts.left - walk.left;
-        *parts.left = walk.left;
-        *coder.range = walk.range;
-        *coder.low = walk.low;
-        // Both are of one slice, the first not below the second.
-        *coder.len = walk.out.addr() - walk.start.addr();
-        events
+        walked
     }
 }
 
@@ -499,17 +485,9 @@ pub struct Words<'r> {
 }
 
 /// Whether a row's walk is made for these cells.
-pub const fn serves(clock: &Clock) -> bool {
+pub(super) const fn serves(clock: &Clock) -> bool {
     clock.beside_bits == 0 && clock.bits > FIRST_BITS && clock.bits <= BITS_MAX
 }
-
-/// What is learned of runs, pixels, polarities and times.
-pub type Learned<'r> = (
-    &'r mut [Probability; RUN_CONTEXTS],
-    &'r mut [Probability; PIXEL_CONTEXTS],
-    &'r mut [Probability; POLARITY_CONTEXTS],
-    &'r mut Times,
-);
 
 /// What the assembly ends with: the columns' end, a column that it leaves to the loop in Rust, the
 /// window's last event, and an output that is full.
@@ -545,7 +523,7 @@ unsafe extern "C" fn renew_distance(table: &mut Symbols<DISTANCES>) {
 /// [`DONE`], or what the walk ends with.
 unsafe extern "C" fn follow(
     advance: &mut Advance<'_, '_, '_>,
-    walk: &mut Walk<'_>,
+    walk: &mut Walk,
     cell: u32,
     link: u32,
 ) -> u32 {
@@ -669,9 +647,9 @@ impl Content for Events<'_> {
 }
 
 /// The range coder within a walk, where there is room.
-struct Coder<'c, 'b>(&'c mut Walk<'b>);
+struct Coder<'c>(&'c mut Walk);
 
-impl Coder<'_, '_> {
+impl Coder<'_> {
     fn add(&mut self, more: u32) {
         let (low, carries) = self.0.low.overflowing_add(more);
         self.0.low = low;
@@ -703,7 +681,7 @@ impl Coder<'_, '_> {
     }
 }
 
-impl Binary for Coder<'_, '_> {
+impl Binary for Coder<'_> {
     #[inline(always)]
     fn bit(&mut self, probability: &mut Probability, bit: bool) -> bool {
         // SAFETY: there was room for an event.
@@ -993,7 +971,7 @@ macro_rules! rest {
 }
 
 const fn at(offset: usize) -> usize {
-    offset - offset_of!(Walk<'_>, rates)
+    offset - offset_of!(Walk, rates)
 }
 
 /// A decision.
@@ -1001,7 +979,7 @@ const fn at(offset: usize) -> usize {
 /// # Safety
 /// There is room for a byte at `walk.out`.
 #[unsafe(naked)]
-unsafe extern "C" fn decide(walk: &mut Walk<'_>, probability: &mut Probability, bit: u32) {
+unsafe extern "C" fn decide(walk: &mut Walk, probability: &mut Probability, bit: u32) {
     naked_asm!(
         "push {{r8-r11, lr}}",
         "add r11, r0, #{rates}",
@@ -1019,10 +997,10 @@ unsafe extern "C" fn decide(walk: &mut Walk<'_>, probability: &mut Probability, 
         "str r10, [r11, #{out}]",
         "pop {{r8-r11, pc}}",
         carry!(),
-        rates = const offset_of!(Walk<'_>, rates),
-        range = const at(offset_of!(Walk<'_>, range)),
-        out = const at(offset_of!(Walk<'_>, out)),
-        start = const at(offset_of!(Walk<'_>, start)),
+        rates = const offset_of!(Walk, rates),
+        range = const at(offset_of!(Walk, range)),
+        out = const at(offset_of!(Walk, out)),
+        start = const at(offset_of!(Walk, start)),
     )
 }
 
@@ -1224,7 +1202,7 @@ macro_rules! walk_row {
 /// # Safety
 /// As `walk` has it.
 #[unsafe(naked)]
-unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
+unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
     naked_asm!(
         // | r4 | r5 | r6 | r7 | r8 | r9 | r10 | r11 |
         // |---|---|---|---|---|---|---|---|
@@ -1603,7 +1581,7 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         carry!(),
         renew_first = sym renew_first,
         renew_distance = sym renew_distance,
-        rates = const offset_of!(Walk<'_>, rates),
+        rates = const offset_of!(Walk, rates),
         no_slot = const NO_SLOT,
         left_to = const LEFT,
         over = const OVER,
@@ -1613,70 +1591,70 @@ unsafe extern "C" fn $name(walk: &mut Walk<'_>) -> u32 {
         distance_counts = const Symbols::<DISTANCES>::COUNTS_AT,
         distance_left = const Symbols::<DISTANCES>::LEFT_AT,
         distances_bytes = const size_of::<Symbols<DISTANCES>>(),
-        weights = const at(offset_of!(Walk<'_>, weights)),
-        of_last = const at(offset_of!(Walk<'_>, of_last)),
-        of_last_more = const at(offset_of!(Walk<'_>, of_last_more)),
-        range = const at(offset_of!(Walk<'_>, range)),
-        out = const at(offset_of!(Walk<'_>, out)),
-        start = const at(offset_of!(Walk<'_>, start)),
-        room = const at(offset_of!(Walk<'_>, room)),
-        pixel_room = const at(offset_of!(Walk<'_>, pixel_room)),
-        told = const at(offset_of!(Walk<'_>, told)),
-        quiet = const at(offset_of!(Walk<'_>, quiet)),
-        columns = const at(offset_of!(Walk<'_>, columns)),
-        last_column = const at(offset_of!(Walk<'_>, last_column)),
-        entries = const at(offset_of!(Walk<'_>, entries)),
-        slots = const at(offset_of!(Walk<'_>, slots)),
-        lists = const at(offset_of!(Walk<'_>, lists)),
-        lasts = const at(offset_of!(Walk<'_>, lasts)),
-        pixels = const at(offset_of!(Walk<'_>, pixels)),
-        runs = const at(offset_of!(Walk<'_>, runs)),
-        polarities = const at(offset_of!(Walk<'_>, polarities)),
-        more = const at(offset_of!(Walk<'_>, more)),
-        flips = const at(offset_of!(Walk<'_>, flips)),
-        first = const at(offset_of!(Walk<'_>, first)),
-        distances = const at(offset_of!(Walk<'_>, distances)),
-        half = const at(offset_of!(Walk<'_>, half)),
-        cells = const at(offset_of!(Walk<'_>, cells)),
-        fine = const at(offset_of!(Walk<'_>, fine)),
-        old = const at(offset_of!(Walk<'_>, old)),
-        later = const at(offset_of!(Walk<'_>, later)),
-        old_on = const at(offset_of!(Walk<'_>, old_on)),
-        south_row = const at(offset_of!(Walk<'_>, south_row)),
-                last_on_row = const at(offset_of!(Walk<'_>, last_on_row)),
-                last_on = const at(offset_of!(Walk<'_>, last_on)),
-        first_on = const at(offset_of!(Walk<'_>, first_on)),
-        west_on = const at(offset_of!(Walk<'_>, west_on)),
-        north_on = const at(offset_of!(Walk<'_>, north_on)),
-        west_last = const at(offset_of!(Walk<'_>, west_last)),
-        last_length = const at(offset_of!(Walk<'_>, last_length)),
-        before = const at(offset_of!(Walk<'_>, before)),
-        number = const at(offset_of!(Walk<'_>, number)),
-        column = const at(offset_of!(Walk<'_>, column)),
-        link = const at(offset_of!(Walk<'_>, link)),
-        told_all = const at(offset_of!(Walk<'_>, told_all)),
-        north_west_on = const at(offset_of!(Walk<'_>, north_west_on)),
-        segment = const at(offset_of!(Walk<'_>, segment)),
-        last_columns = const at(offset_of!(Walk<'_>, last_columns)),
-        ahead = const at(offset_of!(Walk<'_>, ahead)),
-        north_row = const at(offset_of!(Walk<'_>, north_row)),
-        far_north_row = const at(offset_of!(Walk<'_>, far_north_row)),
-        north_on_row = const at(offset_of!(Walk<'_>, north_on_row)),
-        here_row = const at(offset_of!(Walk<'_>, here_row)),
-        made = const at(offset_of!(Walk<'_>, made)),
-        north_here = const at(offset_of!(Walk<'_>, north_here)),
-        north_next = const at(offset_of!(Walk<'_>, north_next)),
-        crowds = const at(offset_of!(Walk<'_>, crowds)),
-        all_lists = const at(offset_of!(Walk<'_>, all_lists)),
-        columns_told = const at(offset_of!(Walk<'_>, columns_told)),
-        advance_to = const at(offset_of!(Walk<'_>, advance)),
+        weights = const at(offset_of!(Walk, weights)),
+        of_last = const at(offset_of!(Walk, of_last)),
+        of_last_more = const at(offset_of!(Walk, of_last_more)),
+        range = const at(offset_of!(Walk, range)),
+        out = const at(offset_of!(Walk, out)),
+        start = const at(offset_of!(Walk, start)),
+        room = const at(offset_of!(Walk, room)),
+        pixel_room = const at(offset_of!(Walk, pixel_room)),
+        told = const at(offset_of!(Walk, told)),
+        quiet = const at(offset_of!(Walk, quiet)),
+        columns = const at(offset_of!(Walk, columns)),
+        last_column = const at(offset_of!(Walk, last_column)),
+        entries = const at(offset_of!(Walk, entries)),
+        slots = const at(offset_of!(Walk, slots)),
+        lists = const at(offset_of!(Walk, lists)),
+        lasts = const at(offset_of!(Walk, lasts)),
+        pixels = const at(offset_of!(Walk, pixels)),
+        runs = const at(offset_of!(Walk, runs)),
+        polarities = const at(offset_of!(Walk, polarities)),
+        more = const at(offset_of!(Walk, more)),
+        flips = const at(offset_of!(Walk, flips)),
+        first = const at(offset_of!(Walk, first)),
+        distances = const at(offset_of!(Walk, distances)),
+        half = const at(offset_of!(Walk, half)),
+        cells = const at(offset_of!(Walk, cells)),
+        fine = const at(offset_of!(Walk, fine)),
+        old = const at(offset_of!(Walk, old)),
+        later = const at(offset_of!(Walk, later)),
+        old_on = const at(offset_of!(Walk, old_on)),
+        south_row = const at(offset_of!(Walk, south_row)),
+                last_on_row = const at(offset_of!(Walk, last_on_row)),
+                last_on = const at(offset_of!(Walk, last_on)),
+        first_on = const at(offset_of!(Walk, first_on)),
+        west_on = const at(offset_of!(Walk, west_on)),
+        north_on = const at(offset_of!(Walk, north_on)),
+        west_last = const at(offset_of!(Walk, west_last)),
+        last_length = const at(offset_of!(Walk, last_length)),
+        before = const at(offset_of!(Walk, before)),
+        number = const at(offset_of!(Walk, number)),
+        column = const at(offset_of!(Walk, column)),
+        link = const at(offset_of!(Walk, link)),
+        told_all = const at(offset_of!(Walk, told_all)),
+        north_west_on = const at(offset_of!(Walk, north_west_on)),
+        segment = const at(offset_of!(Walk, segment)),
+        last_columns = const at(offset_of!(Walk, last_columns)),
+        ahead = const at(offset_of!(Walk, ahead)),
+        north_row = const at(offset_of!(Walk, north_row)),
+        far_north_row = const at(offset_of!(Walk, far_north_row)),
+        north_on_row = const at(offset_of!(Walk, north_on_row)),
+        here_row = const at(offset_of!(Walk, here_row)),
+        made = const at(offset_of!(Walk, made)),
+        north_here = const at(offset_of!(Walk, north_here)),
+        north_next = const at(offset_of!(Walk, north_next)),
+        crowds = const at(offset_of!(Walk, crowds)),
+        all_lists = const at(offset_of!(Walk, all_lists)),
+        columns_told = const at(offset_of!(Walk, columns_told)),
+        advance_to = const at(offset_of!(Walk, advance)),
         advance = sym advance,
         follow = sym follow,
-        follows = const at(offset_of!(Walk<'_>, follows)),
-        north_list = const at(offset_of!(Walk<'_>, north_list)),
+        follows = const at(offset_of!(Walk, follows)),
+        north_list = const at(offset_of!(Walk, north_list)),
         row_end = const ROW,
         flag = const FLAG,
-        left = const at(offset_of!(Walk<'_>, left)),
+        left = const at(offset_of!(Walk, left)),
     )
 }
     };
