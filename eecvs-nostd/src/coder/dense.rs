@@ -15,6 +15,8 @@ use super::content::Content;
 use super::dense_dsp;
 pub(crate) use super::dense_times::EVENT_BYTES_MAX;
 use super::dense_times::{Clock, Following, Neighbour};
+#[cfg(eecvs_dsp)]
+use super::dense_walk_dsp::Walk;
 use super::model::Model;
 use super::neighbourhood::Around;
 use super::range::Binary;
@@ -152,7 +154,7 @@ impl<'b> Dense<'b> {
         let clock = Clock::new(times.count(), times.fine_bits());
         let mut frame = Frame {
             #[cfg(eecvs_dsp)]
-            walk: dense_dsp::Walk::new(&clock),
+            walk: Walk::new(&clock),
             clock,
             coded: Coded {
                 events: 0,
@@ -517,7 +519,7 @@ struct Frame {
     clock: Clock,
     coded: Coded,
     #[cfg(eecvs_dsp)]
-    walk: dense_dsp::Walk,
+    walk: Walk,
 }
 
 #[cfg(test)]

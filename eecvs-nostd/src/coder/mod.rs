@@ -12,6 +12,8 @@ pub mod dense;
 #[cfg(eecvs_dsp)]
 pub(crate) mod dense_dsp;
 mod dense_times;
+#[cfg(eecvs_dsp)]
+mod dense_walk_dsp;
 pub mod fast;
 pub mod model;
 mod neighbourhood;
