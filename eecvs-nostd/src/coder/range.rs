@@ -241,14 +241,16 @@ pub(super) fn carry(out: &mut [u8], len: usize) {
 }
 
 impl Binary for RangeEncoder<'_> {
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn bit(&mut self, probability: &mut Probability, bit: bool) -> bool {
         self.decide(probability.of_one(), bit);
         probability.learn(bit);
         bit
     }
 
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn symbol<const N: usize>(&mut self, table: &mut Symbols<N>, symbol: usize) -> usize {
         let (begin, end) = table.share(symbol);
         self.range /= SCALE;
@@ -259,7 +261,8 @@ impl Binary for RangeEncoder<'_> {
         symbol
     }
 
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn symbol_up_to<const N: usize>(
         &mut self,
         table: &mut Symbols<N>,
@@ -275,7 +278,8 @@ impl Binary for RangeEncoder<'_> {
         symbol
     }
 
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn one_of(&mut self, number: u32, count: u32) -> u32 {
         self.range = (self.range >> 16) * SHARES[(count as usize).min(SHARES.len() - 1)];
         self.add(number * self.range);
@@ -283,7 +287,8 @@ impl Binary for RangeEncoder<'_> {
         number
     }
 
-    #[inline]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline)]
     fn plain(&mut self, value: u32, count: u32) -> u32 {
         let mut left = count;
         while left > 0 {
