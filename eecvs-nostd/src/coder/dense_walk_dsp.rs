@@ -68,8 +68,6 @@ pub struct Walk {
     /// Leading zeros of what is left of the window where it is at least half.
     pub(super) half: u32,
     pub(super) cells: u32,
-    /// 5 more.
-    pub(super) rest_from: u32,
     pub(super) fine: u32,
     /// 7 times `fine`, and 8.
     pub(super) fine_symbols: u32,
@@ -169,7 +167,6 @@ impl Walk {
             distances: null_mut(),
             half: 32 - clock.bits,
             cells: clock.cells,
-            rest_from: 32 - clock.bits + RESTS as u32 - 1,
             fine: clock.fine,
             fine_symbols: 7 * clock.fine + 8,
             first_on: 0,
@@ -479,10 +476,13 @@ macro_rules! more {
 macro_rules! rest {
     () => {
         concat!(
-            "ldrd r1, r2, [r11, #{cells}]\n",
+            "ldrd r2, r1, [r11, #{half}]\n",
             "subs r1, r1, r6\n",
             "clz r1, r1\n",
-            "subs r1, r2, r1\n",
+            // Of all of a window whose cells are a power of two, there is one less.
+            "subs r1, r1, r2\n",
+            "usat r1, #4, r1\n",
+            "rsb r1, r1, #{rests} - 1\n",
             "usat r1, #5, r1\n",
             "add r1, r1, r1, lsl #1\n",
             "lsls r1, r1, #1\n",
@@ -951,8 +951,8 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "clz r1, r3",
         "cmp r1, r12",
         "ldr r1, [r11, #{last_length}]",
-        "it ne",
-        "addne r1, #16",
+        "it hi",
+        "addhi r1, #16",
         "add r1, r1, r11",
         "ldrb r1, [r1, #{of_last}]",
         "adds r1, r1, r2",
@@ -1119,7 +1119,7 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         first = const at(offset_of!(Walk, first)),
         distances = const at(offset_of!(Walk, distances)),
         half = const at(offset_of!(Walk, half)),
-        cells = const at(offset_of!(Walk, cells)),
+        rests = const RESTS,
         fine = const at(offset_of!(Walk, fine)),
         old = const at(offset_of!(Walk, old)),
         later = const at(offset_of!(Walk, later)),
