@@ -4,6 +4,8 @@ use crate::coder::Times;
 use crate::coder::big_bits::BigWriter;
 use crate::coder::content::{Content, Node};
 use crate::coder::dense::Dense;
+#[cfg(eecvs_dsp)]
+use crate::coder::dense_dsp::Parts;
 use crate::coder::fast::{Fast, ROOM_WORDS, Unordered};
 use crate::coder::range::RangeEncoder;
 #[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
@@ -290,6 +292,23 @@ impl Content for Pixels<'_, '_, '_, '_> {
     #[inline(always)]
     fn is_over(&self) -> bool {
         self.left == 0
+    }
+
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    fn with_parts<R>(&mut self, walk: impl FnOnce(Parts<'_, '_>) -> R) -> Option<R> {
+        if !self.encoder.times.are_plain() {
+            return None;
+        }
+        *self.encoder.is_rest = false;
+        Some(walk(Parts {
+            group: &mut *self.encoder.group,
+            window: &mut *self.encoder.window,
+            left: &mut self.left,
+            pixel: &mut self.pixel,
+            at: &mut self.at,
+            rest: &mut self.rest,
+        }))
     }
 
     #[inline(always)]

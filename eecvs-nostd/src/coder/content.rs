@@ -33,6 +33,14 @@ pub trait Content {
     fn take(&mut self, cell: u32, on: bool);
     /// Whether all events have been coded: both sides know.
     fn is_over(&self) -> bool;
+    /// Hands an encoder's window, where its times are told as they are, to a walk that looks at it itself.
+    #[cfg(eecvs_dsp)]
+    fn with_parts<R>(
+        &mut self,
+        _walk: impl FnOnce(super::dense_dsp::Parts<'_, '_>) -> R,
+    ) -> Option<R> {
+        None
+    }
     /// An event of the pixels coded so far; `None` for [`END`].
     fn at(&self, list: u32) -> Option<Node>;
 }

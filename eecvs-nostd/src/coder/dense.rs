@@ -11,13 +11,19 @@
 //! One function codes both ways. Time per event is bounded; memory is what was lent.
 
 use super::content::Content;
+#[cfg(eecvs_dsp)]
+use super::dense_dsp;
 pub(crate) use super::dense_times::EVENT_BYTES_MAX;
 use super::dense_times::{Clock, Following, Neighbour};
+#[cfg(eecvs_dsp)]
+use super::dense_walk_dsp::Walk;
 use super::model::Model;
 use super::neighbourhood::Around;
 use super::range::Binary;
 use super::times::Times;
 use crate::event::Sensor;
+#[cfg(eecvs_dsp)]
+use core::cell::Cell;
 
 /// Rows of bits that are kept: all with those of the window before, and without them this one, two
 /// above, and one more, so that a row's place is cheap to find.
@@ -145,8 +151,11 @@ impl<'b> Dense<'b> {
         content: &mut T,
         times: Times,
     ) -> Coded {
+        let clock = Clock::new(times.count(), times.fine_bits());
         let mut frame = Frame {
-            clock: Clock::new(times.count(), times.fine_bits()),
+            #[cfg(eecvs_dsp)]
+            walk: Walk::new(&clock),
+            clock,
             coded: Coded {
                 events: 0,
                 pixels: 0,
@@ -213,12 +222,41 @@ impl<'b> Dense<'b> {
         around.go_on((0, 0), &self.east(&rows, 0, true));
         let mut segment = 0;
         let mut goes_on = true;
-        while segment < stride {
-            let flag = &mut self.model.segments[around.segment_context()];
-            let mut made = Made::default();
-            if coder.bit(flag, content.has_segment(segment as u16)) {
-                let place = (segment, y, following);
-                goes_on = self.code_segment(coder, content, place, &around, &mut made, frame);
+        let mut begun = None;
+        #[cfg(eecvs_dsp)]
+        if dense_dsp::serves(&frame.clock) {
+            let all = (&mut *coder, &mut *content);
+            if let Some(walked) = self.walk_row(all, (y, row, &rows, following), frame) {
+                segment = walked.segment;
+                if walked.goes_on && segment >= stride {
+                    return true;
+                }
+                let made = Made {
+                    occupied: walked.occupied,
+                    first_on: walked.first_on,
+                    last_on: walked.last_on,
+                };
+                if walked.goes_on {
+                    around = self.around(&rows, row, segment);
+                    begun = walked.column.map(|column| (column, made));
+                } else {
+                    goes_on = false;
+                    set(self.occupied, row + segment, made.occupied);
+                    set(self.last_on, row + segment, made.last_on);
+                    set(self.first_on, rows.first_here + segment, made.first_on);
+                    segment += 1;
+                }
+            }
+        }
+        while goes_on && segment < stride {
+            let is_begun = begun.is_some();
+            let (from, mut made) = begun.take().unwrap_or_default();
+            if is_begun || {
+                let flag = &mut self.model.segments[around.segment_context()];
+                coder.bit(flag, content.has_segment(segment as u16))
+            } {
+                let (place, made) = ((segment, y, following), (from, &mut made));
+                goes_on = self.code_segment(coder, content, place, &around, made, frame);
             }
             set(self.occupied, row + segment, made.occupied);
             set(self.last_on, row + segment, made.last_on);
@@ -233,6 +271,64 @@ impl<'b> Dense<'b> {
         }
         words_at(self.occupied, row + segment, stride - segment).fill(0);
         goes_on
+    }
+
+    /// What is seen at a segment, those before which have been coded.
+    #[cfg(eecvs_dsp)]
+    #[cold]
+    fn around(&self, rows: &Rows, row: usize, segment: usize) -> Around {
+        let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
+        let mut around = Around::default();
+        around.go_on((0, 0), &self.east(rows, 0, false));
+        around.go_on((0, 0), &self.east(rows, 0, true));
+        for before in 0..segment {
+            let made = word(self.occupied, row + before);
+            let made_on = word(self.first_on, rows.first_here + before);
+            around.go_on((made, made_on), &self.east(rows, before + 1, true));
+        }
+        around
+    }
+
+    /// The segments of an encoder's row by [`dense_dsp`], as far as that goes.
+    #[cfg(eecvs_dsp)]
+    #[inline(never)]
+    fn walk_row<C: Binary, T: Content>(
+        &mut self,
+        (coder, content): (&mut C, &mut T),
+        (y, row, rows, following): (usize, usize, &Rows, Following),
+        frame: &mut Frame,
+    ) -> Option<dense_dsp::Walked> {
+        let (stride, has_previous) = (self.stride, self.has_previous);
+        let width = usize::from(self.sensor.width);
+        let occupied = Cell::from_mut(&mut *self.occupied).as_slice_of_cells();
+        let last_on = Cell::from_mut(&mut *self.last_on).as_slice_of_cells();
+        let first_on = Cell::from_mut(&mut *self.first_on).as_slice_of_cells();
+        let words = dense_dsp::Words {
+            north: row_of(occupied, rows.north, stride),
+            north_on: row_of(first_on, rows.first_north, stride),
+            far_north: row_of(occupied, rows.far_north, stride),
+            south: row_of(occupied, rows.south, stride),
+            here: row_of(occupied, row, stride),
+            here_on: row_of(first_on, rows.first_here, stride),
+            last_here: row_of(last_on, row, stride),
+        };
+        let coder = coder.parts()?;
+        let (learned, lists) = (&mut *self.model, (&mut *self.lists, &mut *self.lasts));
+        let Frame { clock, walk, coded } = frame;
+        let walked = content.with_parts(|parts| {
+            let place = (y, width, following);
+            walk.row(
+                (coder, parts),
+                (learned, clock),
+                lists,
+                &words,
+                place,
+                has_previous,
+            )
+        })?;
+        coded.pixels += walked.pixels;
+        coded.events += walked.events;
+        Some(walked)
     }
 
     /// Where the rows around one begin.
@@ -297,13 +393,13 @@ impl<'b> Dense<'b> {
         content: &mut T,
         (segment, y, following): (usize, usize, Following),
         around: &Around,
-        made: &mut Made,
+        (from, made): (u32, &mut Made),
         frame: &mut Frame,
     ) -> bool {
         let seen = around.columns(self.has_previous);
         let columns = (usize::from(self.sensor.width) - 32 * segment).min(32) as u32;
         let told = content.columns();
-        let mut i = 0;
+        let mut i = from;
         while i < columns {
             // One that has events comes at last.
             let quiet = seen.quiet(made.occupied, i, columns);
@@ -404,6 +500,12 @@ struct Rows {
 /// Beyond all words, and no segment's number leads from it to any.
 const NO_ROW: usize = usize::MAX / 2;
 
+#[cfg(eecvs_dsp)]
+#[inline(always)]
+fn row_of(words: &[Cell<u32>], row: usize, stride: usize) -> &[Cell<u32>] {
+    words.get(row..row + stride).unwrap_or_default()
+}
+
 /// What a segment was made of.
 #[derive(Debug, Default)]
 struct Made {
@@ -416,6 +518,8 @@ struct Made {
 struct Frame {
     clock: Clock,
     coded: Coded,
+    #[cfg(eecvs_dsp)]
+    walk: Walk,
 }
 
 #[cfg(test)]

@@ -17,29 +17,30 @@ use super::symbols::Symbols;
 pub(crate) const EVENT_BYTES_MAX: usize = 72;
 
 /// Bits of a first cell that are learned.
-const FIRST_BITS: u32 = 5;
+pub(super) const FIRST_BITS: u32 = 5;
+pub(super) const FIRST_SYMBOLS: usize = 1 + (1 << FIRST_BITS);
 /// The longest distances, by their number of bits, have three more learned.
 const FINE_LENGTHS: u32 = 6;
 const FINE_BITS: u32 = 3;
 /// Symbols below those, one for each number of bits. In windows of so few cells that their numbers have
 /// up to [`FIRST_BITS`], every distance has its own.
-const COARSE: u32 = 15;
-const DISTANCES: usize = 1 + COARSE as usize + (FINE_LENGTHS << FINE_BITS) as usize;
+pub(super) const COARSE: u32 = 15;
+pub(super) const DISTANCES: usize = 1 + COARSE as usize + (FINE_LENGTHS << FINE_BITS) as usize;
 /// In rows that follow: numbers of bits, as decisions from the top.
 const LENGTHS: usize = 16;
 
 /// Contexts of the number of bits of a pixel's last distance.
-const OF_LAST: [u8; 16] = [0, 1, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 11, 11];
-const LASTS: usize = 12;
+pub(super) const OF_LAST: [u8; 16] = [0, 1, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 11, 11];
+pub(super) const LASTS: usize = 12;
 /// Of these, where less than half of the window is left.
-const OF_LAST_LATE: [u8; LASTS] = [0, 1, 1, 1, 1, 1, 1, 1, 2, 3, 4, 5];
+pub(super) const OF_LAST_LATE: [u8; LASTS] = [0, 1, 1, 1, 1, 1, 1, 1, 2, 3, 4, 5];
 /// The same for whether there is another event, and 0 where there was no distance.
-const OF_LAST_MORE: [u8; 16] = [0, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 5];
+pub(super) const OF_LAST_MORE: [u8; 16] = [0, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 5];
 /// Contexts of the bits of a neighbour's distance, 0 for none.
 const OF_NEAR: [u8; 17] = [0, 1, 1, 1, 1, 1, 2, 3, 4, 5, 6, 7, 7, 7, 8, 8, 8];
 const NEARS: usize = 9;
 /// Contexts of what is left of the window: powers of two, and the least.
-const RESTS: usize = 6;
+pub(super) const RESTS: usize = 6;
 
 /// Events of a neighbour looked at for one of the same polarity.
 const LOOK_AHEAD: usize = 4;
@@ -66,10 +67,10 @@ const TRIALS_PER_MATCH: u16 = 16;
 /// What is learned of times.
 #[derive(Debug, Clone)]
 pub(super) struct Times {
-    first: Symbols<{ 1 + (1 << FIRST_BITS) }>,
-    more: [Probability; 3 * RESTS * 6 * 4 * 2],
-    flips: [Probability; 16 * 2 * 3 * 3],
-    distances: [Symbols<DISTANCES>; LASTS * 2 + LASTS],
+    pub(super) first: Symbols<FIRST_SYMBOLS>,
+    pub(super) more: [Probability; 3 * RESTS * 6 * 4 * 2],
+    pub(super) flips: [Probability; 16 * 2 * 3 * 3],
+    pub(super) distances: [Symbols<DISTANCES>; LASTS * 2 + LASTS],
     lengths: [[Probability; LENGTHS]; LASTS * NEARS * 2],
     prefixes: [[Probability; PREFIX_CONTEXTS]; PREFIX_FIRST + 1],
     /// Whether a distance from a scan is above 0, 1, 2, 3.
@@ -177,16 +178,16 @@ pub(super) struct CodedPixel {
 /// What goes on from pixel to pixel.
 #[derive(Debug)]
 pub(super) struct Clock {
-    cells: u32,
+    pub(super) cells: u32,
     /// Bits of a cell's number.
-    bits: u32,
+    pub(super) bits: u32,
     /// Bits that are told beside it.
-    beside_bits: u32,
+    pub(super) beside_bits: u32,
     /// Bits of distances from which on they are fine, and of the shortest that has a symbol.
-    fine: u32,
+    pub(super) fine: u32,
     coarse: u32,
     /// Bits of the last distance between two events of a pixel, up to 15.
-    last_length: u32,
+    pub(super) last_length: u32,
 }
 
 const fn length_of(value: u32) -> u32 {

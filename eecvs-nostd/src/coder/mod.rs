@@ -9,7 +9,11 @@ pub mod cells;
 pub mod chain;
 pub mod content;
 pub mod dense;
+#[cfg(eecvs_dsp)]
+pub(crate) mod dense_dsp;
 mod dense_times;
+#[cfg(eecvs_dsp)]
+mod dense_walk_dsp;
 pub mod fast;
 pub mod model;
 mod neighbourhood;

@@ -120,22 +120,22 @@ impl Around {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Columns {
     /// The two pixels to the west of the segment, and the polarity of the nearer.
-    west: u32,
-    west_on: u32,
-    north_west: u32,
-    north: u32,
-    north_east: u32,
-    far_north: u32,
-    north_west_on: u32,
-    north_east_on: u32,
-    north_on: u32,
-    old: u32,
-    old_on: u32,
-    later: [u32; 2],
+    pub(super) west: u32,
+    pub(super) west_on: u32,
+    pub(super) north_west: u32,
+    pub(super) north: u32,
+    pub(super) north_east: u32,
+    pub(super) far_north: u32,
+    pub(super) north_west_on: u32,
+    pub(super) north_east_on: u32,
+    pub(super) north_on: u32,
+    pub(super) old: u32,
+    pub(super) old_on: u32,
+    pub(super) later: [u32; 2],
     /// Whether any neighbour but those to the west has events.
-    seen: u32,
-    crowd: usize,
-    has_previous: bool,
+    pub(super) seen: u32,
+    pub(super) crowd: usize,
+    pub(super) has_previous: bool,
 }
 
 #[inline(always)]

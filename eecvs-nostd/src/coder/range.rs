@@ -20,7 +20,7 @@ const COUNT_BITS: u32 = 3;
 const COUNT_MASK: u32 = (1 << COUNT_BITS) - 1;
 /// How far a decision moves the probability, by the decisions before it, in units of 2^-16: from a
 /// half to 1/50. The lowest three bits, too small to matter there, are the count that comes next.
-const RATES: [u16; 1 << COUNT_BITS] = {
+pub(super) const RATES: [u16; 1 << COUNT_BITS] = {
     let rates = [32768, 21845, 16384, 10923, 8192, 5461, 3641, 1311];
     let mut next = [0; 1 << COUNT_BITS];
     let mut count = 0;
@@ -90,6 +90,12 @@ pub trait Binary {
 
     /// Whether there is room for so many bytes more; of a decoder, whether all it read was there.
     fn has_room(&self, bytes: usize) -> bool;
+
+    /// An encoder's state.
+    #[cfg(eecvs_dsp)]
+    fn parts(&mut self) -> Option<RangeParts<'_>> {
+        None
+    }
 }
 
 /// What the shares of a table's symbols add up to.
@@ -106,9 +112,9 @@ const SHARES: [u32; 33] = {
 };
 
 /// Fewer bits are left in the range than a decision needs: time for a byte.
-const RANGE_MIN: u32 = 1 << 24;
+pub(super) const RANGE_MIN: u32 = 1 << 24;
 /// Plain bits coded at once, which leaves 12 bits of the range to be exact to.
-const PLAIN_BITS: u32 = 12;
+pub(super) const PLAIN_BITS: u32 = 12;
 
 /// Writes decisions into a lent buffer.
 ///
@@ -122,7 +128,16 @@ pub struct RangeEncoder<'o> {
 }
 
 /// Bytes that [`RangeEncoder::finish`] writes at the most.
-const FINISH_BYTES: usize = 4;
+pub(super) const FINISH_BYTES: usize = 4;
+
+/// An encoder's state, for a walk that has it in registers.
+#[cfg(eecvs_dsp)]
+pub struct RangeParts<'r> {
+    pub(super) out: &'r mut [u8],
+    pub(super) len: &'r mut usize,
+    pub(super) low: &'r mut u32,
+    pub(super) range: &'r mut u32,
+}
 
 impl<'o> RangeEncoder<'o> {
     /// An encoder at the start of `out`.
@@ -215,7 +230,7 @@ impl<'o> RangeEncoder<'o> {
 /// encoder's may stay in registers.
 #[cold]
 #[inline(never)]
-fn carry(out: &mut [u8], len: usize) {
+pub(super) fn carry(out: &mut [u8], len: usize) {
     // Ends at the latest at the first byte: the number is below 1.
     for byte in out.iter_mut().take(len).rev() {
         *byte = byte.wrapping_add(1);
@@ -226,14 +241,16 @@ fn carry(out: &mut [u8], len: usize) {
 }
 
 impl Binary for RangeEncoder<'_> {
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn bit(&mut self, probability: &mut Probability, bit: bool) -> bool {
         self.decide(probability.of_one(), bit);
         probability.learn(bit);
         bit
     }
 
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn symbol<const N: usize>(&mut self, table: &mut Symbols<N>, symbol: usize) -> usize {
         let (begin, end) = table.share(symbol);
         self.range /= SCALE;
@@ -244,7 +261,8 @@ impl Binary for RangeEncoder<'_> {
         symbol
     }
 
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn symbol_up_to<const N: usize>(
         &mut self,
         table: &mut Symbols<N>,
@@ -260,7 +278,8 @@ impl Binary for RangeEncoder<'_> {
         symbol
     }
 
-    #[inline(always)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn one_of(&mut self, number: u32, count: u32) -> u32 {
         self.range = (self.range >> 16) * SHARES[(count as usize).min(SHARES.len() - 1)];
         self.add(number * self.range);
@@ -268,7 +287,8 @@ impl Binary for RangeEncoder<'_> {
         number
     }
 
-    #[inline]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline)]
     fn plain(&mut self, value: u32, count: u32) -> u32 {
         let mut left = count;
         while left > 0 {
@@ -284,6 +304,17 @@ impl Binary for RangeEncoder<'_> {
     #[inline(always)]
     fn has_room(&self, bytes: usize) -> bool {
         self.len + FINISH_BYTES + bytes <= self.out.len()
+    }
+
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    fn parts(&mut self) -> Option<RangeParts<'_>> {
+        Some(RangeParts {
+            out: self.out,
+            len: &mut self.len,
+            low: &mut self.low,
+            range: &mut self.range,
+        })
     }
 }
 

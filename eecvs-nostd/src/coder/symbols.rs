@@ -14,6 +14,7 @@ const SEEN_MAX: u16 = 1024;
 
 /// A table of N - 1 symbols.
 #[derive(Debug, Clone)]
+#[repr(C)]
 pub struct Symbols<const N: usize> {
     /// Where each symbol's share of [`SCALE`] begins; the last is the end.
     starts: [u16; N],
@@ -32,6 +33,12 @@ impl<const N: usize> Symbols<N> {
         left: 0,
         seen: 0,
     };
+
+    /// Where the counts and what is left of the block are, for assembly.
+    #[cfg(eecvs_dsp)]
+    pub(super) const COUNTS_AT: usize = core::mem::offset_of!(Self, counts);
+    #[cfg(eecvs_dsp)]
+    pub(super) const LEFT_AT: usize = core::mem::offset_of!(Self, left);
 
     const COUNT: u32 = {
         assert!(N >= 2 && N <= 256);
@@ -98,7 +105,7 @@ impl<const N: usize> Symbols<N> {
 
     /// Moves the frequencies towards those of the block, each at least 1.
     #[inline(never)]
-    fn renew(&mut self) {
+    pub(super) fn renew(&mut self) {
         // The block's length was a power of two, from what had been seen.
         let block = block(self.seen.saturating_sub(N as u16 / 8));
         let seen = (self.seen + u16::from(block)).min(SEEN_MAX);
