@@ -41,6 +41,8 @@ mod lanes_dsp;
 pub mod link;
 pub mod link_source;
 pub mod pack;
+#[cfg(target_arch = "x86_64")]
+mod pack_vectors;
 pub mod packing;
 pub mod phase;
 mod pixel_encoder;
@@ -51,6 +53,8 @@ pub mod quantise;
 mod rate;
 pub mod regime;
 pub mod sensor_source;
+#[cfg(eecvs_dsp)]
+mod seven_dsp;
 mod sort;
 pub mod storage;
 pub mod trace;
