@@ -146,6 +146,7 @@ impl Machine {
                     totals: leak(WideSum::ZERO, 64),
                     magnitudes: leak(0, 64),
                     dense: None,
+                    coefficients: None,
                     hot: &[],
                 };
                 self.encoder = Some(WindowEncoder::new(config, scratch).unwrap());
@@ -212,6 +213,7 @@ fn expected(events: &[Event]) -> Vec<u8> {
         totals: &mut totals,
         magnitudes: &mut magnitudes,
         dense: None,
+        coefficients: None,
         hot: &[],
     };
     let mut encoder = Encoder::set_up(config(), buffers, scratch).unwrap();

@@ -18,6 +18,8 @@ pub mod atom;
 pub mod bits;
 mod checksum;
 pub mod coder;
+#[cfg(feature = "coefficients")]
+mod coefficient_encoder;
 pub mod density;
 pub mod descriptor;
 pub mod encoder;

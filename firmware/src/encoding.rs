@@ -90,6 +90,7 @@ impl Encoding {
             totals: TOTALS.try_take()?,
             magnitudes: MAGNITUDES.try_take()?,
             dense: None,
+            coefficients: None,
             hot: &[],
         };
         Some(Self {

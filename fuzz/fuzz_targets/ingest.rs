@@ -109,6 +109,7 @@ fuzz_target!(|data: &[u8]| {
         totals: &mut totals,
         magnitudes: &mut magnitudes,
         dense: None,
+        coefficients: None,
         hot: &[],
     };
     let config = Config {

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::formats::EventWriter;
 use crate::frame_file::{FrameReader, LinkReport};
+use crate::reconstruct::coefficients::CoefficientDecoder;
 use crate::reconstruct::events::{EventDecoder, Finder};
 use crate::reconstruct::hybrid::{HybridDecoder, Refused};
 use crate::reconstruct::recover::Confidences;
@@ -21,6 +22,7 @@ pub struct WindowReader<R> {
     /// Events of `pending`.
     pending_events: u32,
     counts: FrameCounts,
+    coefficients: CoefficientDecoder,
     hybrid: HybridDecoder,
     /// Time spent on payloads.
     busy: Duration,
@@ -51,6 +53,7 @@ impl<R: Read> WindowReader<R> {
             pending: None,
             pending_events: 0,
             counts: FrameCounts::default(),
+            coefficients: CoefficientDecoder::default(),
             hybrid: HybridDecoder::default(),
             busy: Duration::ZERO,
         }
@@ -82,6 +85,10 @@ impl<R: Read> WindowReader<R> {
                     Ok(pixels) => Ok((pixels, vec![])),
                     Err(_) => Err(Refused::Malformed),
                 },
+                Mode::Coefficients(coder) => {
+                    let pixels = self.coefficients.frame(&located.frame, coder);
+                    pixels.map(|pixels| (pixels, vec![]))
+                }
                 Mode::Hybrid(hybrid) => {
                     let events = self.hybrid.frame(&located.frame, hybrid);
                     events.map(|events| (vec![], events))

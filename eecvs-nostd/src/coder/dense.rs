@@ -12,7 +12,7 @@
 
 use super::content::Content;
 pub(crate) use super::dense_times::EVENT_BYTES_MAX;
-use super::dense_times::{Clock, Following, Neighbour};
+use super::dense_times::{Clock, CodedPixel, Following, Neighbour, Times as LearnedTimes};
 use super::model::Model;
 use super::neighbourhood::Around;
 use super::range::Binary;
@@ -145,8 +145,19 @@ impl<'b> Dense<'b> {
         content: &mut T,
         times: Times,
     ) -> Coded {
+        let clock = Clock::new(times.count(), times.fine_bits());
+        self.code_with(coder, content, clock)
+    }
+
+    /// As [`Self::code`], where `step` codes what follows a pixel's place and its polarity.
+    pub(super) fn code_with<C: Binary, T: Content, S: Step<T>>(
+        &mut self,
+        coder: &mut C,
+        content: &mut T,
+        step: S,
+    ) -> Coded {
         let mut frame = Frame {
-            clock: Clock::new(times.count(), times.fine_bits()),
+            step,
             coded: Coded {
                 events: 0,
                 pixels: 0,
@@ -197,12 +208,12 @@ impl<'b> Dense<'b> {
 
     /// Whether there may be more after this row.
     #[inline(always)]
-    fn code_row<C: Binary, T: Content>(
+    fn code_row<C: Binary, T: Content, S: Step<T>>(
         &mut self,
         coder: &mut C,
         content: &mut T,
         y: usize,
-        frame: &mut Frame,
+        frame: &mut Frame<S>,
     ) -> bool {
         let stride = self.stride;
         let row = self.row(y);
@@ -291,14 +302,14 @@ impl<'b> Dense<'b> {
 
     /// Whether there may be more after this segment.
     #[inline(always)]
-    fn code_segment<C: Binary, T: Content>(
+    fn code_segment<C: Binary, T: Content, S: Step<T>>(
         &mut self,
         coder: &mut C,
         content: &mut T,
         (segment, y, following): (usize, usize, Following),
         around: &Around,
         made: &mut Made,
-        frame: &mut Frame,
+        frame: &mut Frame<S>,
     ) -> bool {
         let seen = around.columns(self.has_previous);
         let columns = (usize::from(self.sensor.width) - 32 * segment).min(32) as u32;
@@ -342,7 +353,7 @@ impl<'b> Dense<'b> {
             );
             let times = &mut self.model.times;
             let pixel = frame
-                .clock
+                .step
                 .pixel(times, coder, content, first_on, (neighbours, following));
             frame.coded.pixels += 1;
             frame.coded.events += pixel.events;
@@ -413,9 +424,38 @@ struct Made {
 }
 
 /// What goes on from pixel to pixel.
-struct Frame {
-    clock: Clock,
+struct Frame<S> {
+    step: S,
     coded: Coded,
+}
+
+/// What is coded of a pixel after its place and the polarity that its neighbours foretell.
+pub(super) trait Step<T> {
+    /// Codes it; `around` is what is known of the neighbours to the west and north, and what the row
+    /// does with their times.
+    fn pixel<C: Binary>(
+        &mut self,
+        times: &mut LearnedTimes,
+        coder: &mut C,
+        content: &mut T,
+        on: bool,
+        around: ((Neighbour, Neighbour), Following),
+    ) -> CodedPixel;
+}
+
+/// Events.
+impl<T: Content> Step<T> for Clock {
+    #[inline(always)]
+    fn pixel<C: Binary>(
+        &mut self,
+        times: &mut LearnedTimes,
+        coder: &mut C,
+        content: &mut T,
+        on: bool,
+        around: ((Neighbour, Neighbour), Following),
+    ) -> CodedPixel {
+        Self::pixel(self, times, coder, content, on, around)
+    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use eecvs_nostd::{
     Coder, Config, Fidelity, Filter, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN,
@@ -71,11 +71,11 @@ pub struct CodecOptions {
     #[arg(long, value_name = "B", value_parser = clap::value_parser!(u16).range(1..))]
     bins: Option<u16>,
 
-    /// hybrid: how events become bits
-    #[arg(long, value_enum, default_value = "fast")]
-    coder: CoderName,
+    /// How events or coefficients become bits [default: fast in mode hybrid, plain in mode transform]
+    #[arg(long, value_enum)]
+    coder: Option<CoderName>,
 
-    /// hybrid, dense: windows after which a frame can be decoded without those before it
+    /// dense: windows after which a frame can be decoded without those before it
     #[arg(long, value_name = "N", default_value_t = KEY_WINDOWS,
           value_parser = clap::value_parser!(u16).range(1..=256))]
     key_windows: u16,
@@ -151,9 +151,11 @@ enum ModeName {
     Transform,
 }
 
-/// A coder of events on the command line.
+/// A coder of events or coefficients on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum CoderName {
+    /// transform: codes that do not adapt, as a microcontroller sends coefficients
+    Plain,
     /// For speed; every frame decodes by itself
     Fast,
     /// For size; frames go on from those before, up to the next key frame
@@ -240,8 +242,11 @@ impl CodecOptions {
         let mode = match self.mode {
             ModeName::Hybrid => Mode::Hybrid(Hybrid {
                 coder: match self.coder {
-                    CoderName::Fast => Coder::Fast,
-                    CoderName::Dense => Coder::Dense,
+                    None | Some(CoderName::Fast) => Coder::Fast,
+                    Some(CoderName::Dense) => Coder::Dense,
+                    Some(CoderName::Plain) => {
+                        bail!("--coder plain is for --mode transform")
+                    }
                 },
                 fidelity,
             }),
@@ -250,7 +255,11 @@ impl CodecOptions {
                     fidelity == Fidelity::Lossless && self.bytes_per_second.is_none(),
                     "--time-tolerance-us, --bins and --bytes-per-second are for --mode hybrid"
                 );
-                Mode::Transform
+                match self.coder {
+                    None | Some(CoderName::Plain) => Mode::Transform,
+                    Some(CoderName::Fast) => Mode::Coefficients(Coder::Fast),
+                    Some(CoderName::Dense) => Mode::Coefficients(Coder::Dense),
+                }
             }
         };
         Ok(Config {

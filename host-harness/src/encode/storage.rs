@@ -1,6 +1,7 @@
 //! Memory of an encoder on the host.
 
 use anyhow::{Context, Result, bail};
+use eecvs_nostd::coder::coefficients::CoefficientMemory;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
 use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
@@ -21,6 +22,7 @@ pub struct HostStorage {
     magnitudes: Vec<u32>,
     model: Box<Model>,
     words: Vec<u32>,
+    coefficients: Box<CoefficientMemory>,
 }
 
 /// Buffers of a window.
@@ -83,6 +85,7 @@ impl HostStorage {
             magnitudes: vec![0; numbers],
             model: Box::new(Model::UNSET),
             words: vec![0; words(sensor, true)],
+            coefficients: Box::new(CoefficientMemory::UNSET),
         }
     }
 
@@ -123,6 +126,7 @@ impl HostStorage {
                 model: &mut self.model,
                 words: &mut self.words,
             }),
+            coefficients: Some(&mut self.coefficients),
             hot,
         };
         match WindowEncoder::new(config, scratch) {

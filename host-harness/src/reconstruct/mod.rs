@@ -1,6 +1,7 @@
 //! Descriptors back to coefficients, volumes and events.
 
 pub mod bins;
+pub mod coefficients;
 pub mod crowd;
 pub mod equations;
 pub mod events;

@@ -82,7 +82,7 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
         summary.events_in
     );
     let grid = source.grid();
-    let is_transform = mode == Mode::Transform;
+    let is_transform = mode.is_transform();
     let mut windows = WindowReader::new(FrameReader::new(&bytes[..]));
     let mut events = Vec::with_capacity(source.events.len());
     let mut cells = Vec::new();
