@@ -578,7 +578,8 @@ impl<'b> WindowEncoder<'b> {
             }
             Some(encoder.dense::<B>(&mut dense, memory, payload))
         };
-        let taken = code().filter(|taken| taken.pixels > 0);
+        let is_empty = task.left == 0;
+        let taken = code().filter(|taken| taken.pixels > 0 || is_empty);
         let Some(taken) = taken else {
             header.mode = Mode::Transform;
             (header.is_key, header.has_previous) = (true, false);

@@ -12,6 +12,7 @@ use eecvs_nostd::{
 
 use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json, rows};
+use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
 use crate::formats;
 use crate::hot_pixels;
@@ -117,6 +118,11 @@ pub struct CodecOptions {
     #[arg(long, value_name = "S", default_value = "-6", allow_negative_numbers = true,
           value_parser = clap::value_parser!(i8).range(-15..=8))]
     step_log2: i8,
+
+    /// Largest error of a kept coefficient, of re and im each: takes the largest step that keeps it. The
+    /// kernel's own error, up to 2^-14 per event in the pixel, comes on top
+    #[arg(long, value_name = "E", conflicts_with = "step_log2")]
+    max_error: Option<f64>,
 
     /// Duration of a window in microseconds
     #[arg(long, value_name = "T", default_value = "32768")]
@@ -276,7 +282,14 @@ impl CodecOptions {
             },
             m: self.m,
             grid: self.grid,
-            quantiser: Quantiser::new(self.step_log2).context("the step is out of range")?,
+            quantiser: match self.max_error {
+                None => Quantiser::new(self.step_log2).context("the step is out of range")?,
+                Some(error) => quantiser_within(error).with_context(|| {
+                    format!(
+                        "--max-error {error}: no step keeps it: ask for 2^-16, 0.0000153, or more"
+                    )
+                })?,
+            },
             mode,
             key_windows: self.key_windows,
             readout: None,

@@ -6,7 +6,7 @@
 //!
 //! The levels are those of the plain payload ([`crate::pack`]), to the bit. The levels of a pixel of few
 //! events are not independent: its events' times tell all of them. Such a pixel is told by the cells of
-//! its events, half as wide as a single event's, and by what its levels differ from those of events in
+//! its events, and by what its levels differ from those of events in
 //! the middle of their cells; both sides compute these with the same kernel. Where all events lie in
 //! cells of a microsecond, or the transform is Haar's, nothing differs. A pixel of more events than
 //! that is worth is told by its levels. [`tell`] has the fields; [`fast`] and [`dense`] their codes.

@@ -15,8 +15,18 @@ use crate::transform::{M_MAX, Transform};
 /// Largest K of pixels that are told by their events: what a decoder computes for one stays within
 /// bounds, and so does the memory that it takes.
 pub(super) const TOLD_GRID_MAX: usize = 128;
-/// Cells are so many times finer, as a power of two, than a single event's.
-const FINER_LOG2: u32 = 1;
+/// The cells that tell a pixel of the DTFT, whose levels are twice as many and of higher frequencies, are
+/// so many times finer than a single event's, as a power of two.
+const FINER_LOG2: u32 = 2;
+
+/// Cells that are half as wide at the most as 2^-`cells_log2` of the window, on either side of their
+/// middle; of a microsecond where they would be of three.
+const fn told_within(cells_log2: u32, duration_us: u32) -> Fidelity {
+    match duration_us >> (cells_log2 + 1) {
+        0 | 1 => Fidelity::Lossless,
+        tolerance_us => Fidelity::ToleranceUs(tolerance_us),
+    }
+}
 
 /// What all pixels of a frame have in common.
 #[derive(Debug, Clone, Copy)]
@@ -38,10 +48,8 @@ impl Common {
         let fidelity = match packing.transform {
             // All differences follow from the bins.
             Transform::Dwt => Fidelity::Bins(packing.grid),
-            Transform::Dct | Transform::Dtft => {
-                let shift = cells_log2 + 1 + FINER_LOG2;
-                Fidelity::ToleranceUs(duration_us.checked_shr(shift).unwrap_or(0))
-            }
+            Transform::Dct => told_within(cells_log2, duration_us),
+            Transform::Dtft => told_within(cells_log2 + FINER_LOG2, duration_us),
         };
         Self {
             packing,
@@ -98,7 +106,7 @@ impl Common {
             u32::from(self.packing.grid)
         };
         let direct = levels as u32 * level_bits.saturating_sub(width_of(events) / 2) + set_bits;
-        self.may_tell(events) && told <= direct
+        self.may_tell(events) && 4 * told <= 5 * direct
     }
 }
 
