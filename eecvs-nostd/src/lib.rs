@@ -8,7 +8,8 @@
 //! One stage, one file. Every buffer is lent by the caller or sits in [`Storage`]; nothing
 //! allocates, nothing uses floating point on the way from an event to a frame, and the same code
 //! gives the same bits on a microcontroller and on a host. Feature `defmt` derives `defmt::Format`
-//! on the public types; `float` adds two kernels in f32 to compare with ([`kernel`]).
+//! on the public types; `coefficients`, set by default, lets the encoder take the adaptive coders of
+//! coefficients ([`coder::coefficients`]); `float` adds two kernels in f32 to compare with ([`kernel`]).
 #![no_std]
 
 #[cfg(test)]

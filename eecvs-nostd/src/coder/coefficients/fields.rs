@@ -71,7 +71,7 @@ pub(super) const fn events(west: u32, north: u32) -> Context {
 /// How many events are of the rarer polarity.
 pub(super) fn minor(events: u32) -> Context {
     let power = power(events);
-    context(1, (power > 1) as usize, power)
+    context(1, usize::from(power > 1), power)
 }
 
 /// The distance to the next event's cell, by the bits of the last one, the number of events that

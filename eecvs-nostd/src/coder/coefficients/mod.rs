@@ -9,7 +9,7 @@
 //! its events, and by what its levels differ from those of events in
 //! the middle of their cells; both sides compute these with the same kernel. Where all events lie in
 //! cells of a microsecond, or the transform is Haar's, nothing differs. A pixel of more events than
-//! that is worth is told by its levels. [`tell`] has the fields; [`fast`] and [`dense`] their codes.
+//! that is worth is told by its levels. [`fast`] and [`dense`] have the codes.
 
 pub mod dense;
 pub mod fast;

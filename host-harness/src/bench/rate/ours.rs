@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::{
-    Config, Event, Filter, Hybrid, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform,
+    Coder, Config, Event, Filter, Hybrid, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform,
     WindowConfig,
 };
 use std::num::NonZeroUsize;
@@ -18,8 +18,8 @@ use crate::reconstruct::events::{EventDecoder, Finder};
 
 /// A recording encoded and decoded.
 pub struct Decoded {
-    /// Of the file, headers and all.
-    pub bytes: usize,
+    /// The file, headers and all.
+    pub file: Vec<u8>,
     /// Spent encoding, one thread.
     pub seconds: f64,
     /// What came back.
@@ -45,45 +45,42 @@ pub fn transform(source: &Source, transform: Transform, m: u8) -> Result<Decoded
     round_trip(source, Mode::Transform, Some(transform), m)
 }
 
+/// The same coefficients by an adaptive coder: bytes of the file, and seconds spent encoding on one
+/// thread. `plain` is the file of plain codes.
+///
+/// # Errors
+/// A frame that does not decode, or a coefficient that is not the plain one's.
+pub fn coded(
+    source: &Source,
+    transform: Transform,
+    m: u8,
+    coder: Coder,
+    plain: &[u8],
+) -> Result<(usize, f64)> {
+    let mode = Mode::Coefficients(coder);
+    let (file, seconds) = encoded(source, mode, Some(transform), m)?;
+    let mut windows = [plain, &file].map(|file| WindowReader::new(FrameReader::new(file)));
+    let [plain, coded] = &mut windows;
+    loop {
+        let (plain, coded) = (plain.next_window()?, coded.next_window()?);
+        let pixels = [&plain, &coded].map(|window| window.as_ref().map(|window| &window.pixels));
+        ensure!(
+            pixels[0] == pixels[1],
+            "its coefficients are not those of plain codes; please report this"
+        );
+        if plain.is_none() {
+            return Ok((file.len(), seconds));
+        }
+    }
+}
+
 /// # Errors
 /// A frame that does not decode, or an event that is not in any.
 fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) -> Result<Decoded> {
-    let config = Config {
-        window: WindowConfig {
-            sensor: source.sensor,
-            window_us: WINDOW_US,
-        },
-        thresholds: Thresholds::new(0, 0).context("thresholds of 0")?,
-        transform,
-        m,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-    };
-    let config = readout::look_at(&source.events, config);
-    let (mut bytes, mut reader) = (Vec::new(), source.reader());
-    let (limits, threads) = (Limits::default(), NonZeroUsize::MIN);
-    let summary = encode(
-        &mut reader,
-        config,
-        limits,
-        threads,
-        &mut bytes,
-        &mut |_| (),
-    )?;
-    ensure!(
-        summary.events_encoded == summary.events_in,
-        "{} of {} events are in no frame; please report this",
-        summary.events_in - summary.events_encoded,
-        summary.events_in
-    );
+    let (file, seconds) = encoded(source, mode, transform, m)?;
     let grid = source.grid();
     let is_transform = mode.is_transform();
-    let mut windows = WindowReader::new(FrameReader::new(&bytes[..]));
+    let mut windows = WindowReader::new(FrameReader::new(&file[..]));
     let mut events = Vec::with_capacity(source.events.len());
     let mut cells = Vec::new();
     let mut decoder: Option<(EventDecoder, Bins)> = None;
@@ -117,11 +114,53 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
         "frames do not come back; please report this"
     );
     Ok(Decoded {
-        bytes: bytes.len(),
-        seconds: summary.encode_s,
+        file,
+        seconds,
         events,
         coefficients: is_transform.then(|| Volume::new(cells)),
     })
+}
+/// The file of a recording, and seconds spent encoding it on one thread.
+fn encoded(
+    source: &Source,
+    mode: Mode,
+    transform: Option<Transform>,
+    m: u8,
+) -> Result<(Vec<u8>, f64)> {
+    let config = Config {
+        window: WindowConfig {
+            sensor: source.sensor,
+            window_us: WINDOW_US,
+        },
+        thresholds: Thresholds::new(0, 0).context("thresholds of 0")?,
+        transform,
+        m,
+        grid: None,
+        quantiser: Quantiser::DEFAULT,
+        mode,
+        key_windows: KEY_WINDOWS,
+        readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
+    };
+    let config = readout::look_at(&source.events, config);
+    let (mut bytes, mut reader) = (Vec::new(), source.reader());
+    let (limits, threads) = (Limits::default(), NonZeroUsize::MIN);
+    let summary = encode(
+        &mut reader,
+        config,
+        limits,
+        threads,
+        &mut bytes,
+        &mut |_| (),
+    )?;
+    ensure!(
+        summary.events_encoded == summary.events_in,
+        "{} of {} events are in no frame; please report this",
+        summary.events_in - summary.events_encoded,
+        summary.events_in
+    );
+    Ok((bytes, summary.encode_s))
 }
 
 impl Source {
