@@ -9,14 +9,17 @@ use eecvs_nostd::{
     Readout, Region, Sensor, Thresholds, Transform, WindowConfig,
 };
 use host_harness::encode::HostStorage;
+use host_harness::reconstruct::coefficients::CoefficientDecoder;
 use host_harness::reconstruct::hybrid::HybridDecoder;
 use libfuzzer_sys::fuzz_target;
 
 fn to_mode(mode: u8, fidelity: u8) -> Mode {
-    let coder = match mode % 3 {
+    let coder = match mode % 5 {
         0 => return Mode::Transform,
         1 => Coder::Fast,
-        _ => Coder::Dense,
+        2 => Coder::Dense,
+        3 => return Mode::Coefficients(Coder::Fast),
+        _ => return Mode::Coefficients(Coder::Dense),
     };
     let fidelity = match fidelity % 3 {
         0 => Fidelity::Lossless,
@@ -72,13 +75,14 @@ fuzz_target!(|data: &[u8]| {
             isolated: *control & 1 == 1,
         },
         bytes_per_second: NonZeroU32::new(budget)
-            .filter(|_| *control & 2 == 2 && mode != Mode::Transform),
+            .filter(|_| *control & 2 == 2 && !mode.is_transform()),
     };
     let mut storage = HostStorage::new(sensor, 1 + usize::from(*capacity));
     let mut encoder = storage.encoder(config).expect("a valid configuration");
     let mut out = vec![0; eecvs_nostd::OUTPUT_BYTES_MIN];
     let mut accounted = 0;
     let mut decoder = HybridDecoder::default();
+    let mut coefficients = CoefficientDecoder::default();
     let mut frames = |encoder: &mut eecvs_nostd::Encoder<'_>| {
         while let Some(encoded) = encoder.next_frame(&mut out).expect("room for a frame") {
             let frame = Frame::parse(&out[encoded.range]).expect("a whole frame");
@@ -88,6 +92,14 @@ fuzz_target!(|data: &[u8]| {
                     .descriptors()
                     .map(|descriptor| descriptor.expect("the encoder's own payload").events())
                     .sum::<u32>(),
+                Mode::Coefficients(coder) => {
+                    let mut events = 0;
+                    let found = coefficients.descriptors(&frame, coder, |descriptor| {
+                        events += descriptor.events();
+                    });
+                    found.expect("the encoder's own payload");
+                    events
+                }
                 Mode::Hybrid(hybrid) => {
                     let found = decoder.frame(&frame, hybrid);
                     found.expect("the encoder's own payload").len() as u32

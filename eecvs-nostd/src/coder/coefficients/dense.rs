@@ -232,7 +232,7 @@ pub(crate) struct Coded {
 /// [`UnpackError`] of a decoder.
 pub(crate) fn code<C: Binary, P: Pixels>(
     dense: &mut Dense<'_>,
-    memory: Memory<'_>,
+    (prediction, learned): Memory<'_>,
     coder: &mut C,
     content: &mut P,
     common: &Common,
@@ -240,8 +240,8 @@ pub(crate) fn code<C: Binary, P: Pixels>(
     let mut step = Tell {
         common,
         bytes_max: pixel_bytes_max(common),
-        prediction: memory.0,
-        learned: memory.1,
+        prediction,
+        learned,
         coded: Coded {
             pixels: 0,
             events: 0,
