@@ -150,6 +150,7 @@ impl<'b> Dense<'b> {
     }
 
     /// As [`Self::code`], where `step` codes what follows a pixel's place and its polarity.
+    #[inline(always)]
     pub(super) fn code_with<C: Binary, T: Content, S: Step<T>>(
         &mut self,
         coder: &mut C,
