@@ -322,6 +322,7 @@ fn a_window_beyond_the_dense_coders_memory_is_a_fast_frame() {
             model: &mut model,
             words: &mut words,
         }),
+        coefficients: None,
         hot: &mut [],
         order: &mut [],
     };

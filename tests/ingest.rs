@@ -183,6 +183,7 @@ impl Machine {
                     totals: leak(WideSum::ZERO, 64),
                     magnitudes: leak(0, 64),
                     dense: None,
+                    coefficients: None,
                     hot: leak(0, 40),
                     order: &mut [],
                 };
@@ -254,6 +255,7 @@ fn expected_without(hot: &[(u16, u16)], events: &[Event]) -> Vec<u8> {
         totals: &mut totals,
         magnitudes: &mut magnitudes,
         dense: None,
+        coefficients: None,
         hot: &mut [0; 40],
         order: &mut [],
     };

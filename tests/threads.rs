@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::num::NonZeroUsize;
 
 use anyhow::{Result, bail};
-use eecvs_nostd::{Config, Event, Mode, OUTPUT_BYTES_MIN, Sensor, Thresholds, Transform};
+use eecvs_nostd::{Coder, Config, Event, Mode, OUTPUT_BYTES_MIN, Sensor, Thresholds, Transform};
 use host_harness::encode::{EncodeSummary, Limits, encode};
 use host_harness::formats::{EventReader, Skipped};
 use host_harness::scene::{Preset, SceneConfig, emulate};
@@ -136,7 +136,11 @@ proptest! {
     #[test]
     fn the_bytes_are_those_of_one_encoder(
         (config, events) in job(1500),
-        mode in prop_oneof![Just(Mode::Transform), hybrid().prop_map(Mode::Hybrid)],
+        mode in prop_oneof![
+            Just(Mode::Transform),
+            prop_oneof![Just(Coder::Fast), Just(Coder::Dense)].prop_map(Mode::Coefficients),
+            hybrid().prop_map(Mode::Hybrid),
+        ],
         key_windows in 1_u16..20,
         window_events in prop_oneof![1..20_usize, 20..2000_usize],
         frame_bytes in prop_oneof![Just(OUTPUT_BYTES_MIN), OUTPUT_BYTES_MIN..20_000],

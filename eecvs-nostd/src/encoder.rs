@@ -6,8 +6,13 @@ use core::ops::Range;
 use crate::arrival;
 use crate::bits::BitWriter;
 use crate::coder::chain::Chain;
+use crate::coder::coefficients::CoefficientMemory;
+#[cfg(feature = "coefficients")]
+use crate::coder::coefficients::{dense, pixel::Common};
 use crate::coder::dense::{Dense, DenseMemory, EVENT_BYTES_MAX};
 use crate::coder::{Cells, Coder, Fidelity, Hybrid, Readout, Scans, Times};
+#[cfg(feature = "coefficients")]
+use crate::coefficient_encoder::{CoefficientEncoder, Numbers, Taken};
 use crate::density::Density;
 use crate::event::Event;
 use crate::event_encoder::EventEncoder;
@@ -84,6 +89,8 @@ pub enum ConfigError {
     Scratch,
     /// [`Scratch::dense`] is missing or smaller than the sensor needs.
     Dense,
+    /// [`Scratch::coefficients`] is missing, or the feature of that name.
+    Coefficients,
     /// A volume of no bins.
     Bins,
     /// A budget for coefficients, or of fewer than some 146 bytes a window.
@@ -131,25 +138,28 @@ impl Config {
             };
             let windows = 1_000_000_u32.div_ceil(window_us.get());
             let least = windows as u64 * WINDOW_BYTES_MIN as u64 * 8 / 7;
-            if matches!(self.mode, Mode::Transform) || (budget.get() as u64) < least {
+            if self.mode.is_transform() || (budget.get() as u64) < least {
                 return Err(ConfigError::Rate);
             }
         }
-        let has_order =
-            HAS_ORDER && !matches!(self.mode, Mode::Transform) && !scratch.order.is_empty();
+        let has_order = HAS_ORDER && !self.mode.is_transform() && !scratch.order.is_empty();
         if self.keep_order && !has_order {
             return Err(ConfigError::Order);
         }
         match self.mode {
-            Mode::Transform if scratch.numbers() < 2 * self.grid_max() => Err(ConfigError::Scratch),
+            Mode::Transform | Mode::Coefficients(_) if scratch.numbers() < 2 * self.grid_max() => {
+                Err(ConfigError::Scratch)
+            }
+            Mode::Coefficients(_)
+                if !cfg!(feature = "coefficients") || scratch.coefficients.is_none() =>
+            {
+                Err(ConfigError::Coefficients)
+            }
             Mode::Hybrid(Hybrid {
                 fidelity: Fidelity::Bins(0),
                 ..
             }) => Err(ConfigError::Bins),
-            Mode::Hybrid(Hybrid {
-                coder: Coder::Dense,
-                ..
-            }) => match &scratch.dense {
+            mode if mode.is_dense() => match &scratch.dense {
                 Some(memory) if memory.serves(self.window.sensor) => Ok(()),
                 _ => Err(ConfigError::Dense),
             },
@@ -188,6 +198,8 @@ pub struct Scratch<'b> {
     pub magnitudes: &'b mut [u32],
     /// What the dense coder of hybrid frames remembers; needed for it alone.
     pub dense: Option<DenseMemory<'b>>,
+    /// Memory of the adaptive coders of coefficients; needed for them alone.
+    pub coefficients: Option<&'b mut CoefficientMemory>,
     /// A word for each pixel that is never sent: see [`WindowEncoder::add_hot`].
     pub hot: &'b mut [u32],
     /// Words for [`Config::keep_order`], [`arrival::words`] of a window's slots, and none without it. A
@@ -207,16 +219,6 @@ impl Scratch<'_> {
         }
         least
     }
-}
-
-const fn is_dense(mode: Mode) -> bool {
-    matches!(
-        mode,
-        Mode::Hybrid(Hybrid {
-            coder: Coder::Dense,
-            ..
-        })
-    )
 }
 
 /// The rate control of a configuration, at its start.
@@ -287,6 +289,7 @@ impl<'b> WindowEncoder<'b> {
             totals,
             magnitudes,
             dense,
+            coefficients,
             hot,
             order,
         } = scratch;
@@ -297,6 +300,7 @@ impl<'b> WindowEncoder<'b> {
                 totals,
                 magnitudes,
                 dense,
+                coefficients,
                 hot: &mut [],
                 order,
             },
@@ -453,21 +457,23 @@ impl<'b> WindowEncoder<'b> {
         let payload = out.get_mut(HEADER_BYTES_MAX..end).unwrap_or_default();
         header.order = None;
         let mut payload_bytes = match header.mode {
-            Mode::Transform => {
-                let mut writer = BitWriter::new(payload);
-                let scale = task.scale;
-                header.last = match header.transform {
+            #[cfg(feature = "coefficients")]
+            Mode::Coefficients(coder) => {
+                let taken = match header.transform {
                     Transform::Dct => {
-                        self.encode_pixels::<C, _>(window, scale, header, &mut writer, trace)
+                        self.encode_coefficients::<C>(window, coder, &mut task, payload)
                     }
                     Transform::Dtft => {
-                        self.encode_pixels::<F, _>(window, scale, header, &mut writer, trace)
+                        self.encode_coefficients::<F>(window, coder, &mut task, payload)
                     }
                     Transform::Dwt => {
-                        self.encode_pixels::<Dwt, _>(window, scale, header, &mut writer, trace)
+                        self.encode_coefficients::<Dwt>(window, coder, &mut task, payload)
                     }
                 };
-                writer.finish()
+                match taken {
+                    Some(bytes) => bytes,
+                    None => self.encode_plain::<C, F, T>(window, &mut task, payload, trace),
+                }
             }
             Mode::Hybrid(hybrid) if is_spent => {
                 // What was estimated was too low, or there was no room for a single event.
@@ -490,6 +496,7 @@ impl<'b> WindowEncoder<'b> {
                 0
             }
             Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, &mut task, payload, trace),
+            _ => self.encode_plain::<C, F, T>(window, &mut task, payload, trace),
         };
         if HAS_ORDER && task.header.last && self.order.is_some() && !is_spent {
             let room = payload.get_mut(payload_bytes..).unwrap_or_default();
@@ -509,7 +516,12 @@ impl<'b> WindowEncoder<'b> {
         };
         header.part += 1;
         header.thinned = 0;
-        header.is_key &= !is_dense(header.mode);
+        header.is_key &= !header.mode.is_dense();
+        if header.mode.is_transform() {
+            task.left = task.left.saturating_sub(header.events);
+            // Whatever this frame had room for.
+            header.mode = self.config.mode;
+        }
         self.task = Some(task);
         Ok(Some(encoded))
     }
@@ -562,7 +574,7 @@ impl<'b> WindowEncoder<'b> {
                 last: false,
                 regime,
                 mode,
-                is_key: !is_dense(self.config.mode)
+                is_key: !self.config.mode.is_dense()
                     || self.chain.next(window.events(), self.config.key_windows),
                 has_previous: false,
                 scans,
@@ -589,6 +601,98 @@ impl<'b> WindowEncoder<'b> {
             left: window.events(),
             is_rest: false,
         }
+    }
+
+    /// Codes the window's pixels with plain codes up to the last, or as far as there is room; returns
+    /// the bytes they took.
+    #[inline(always)]
+    fn encode_plain<C: Basis, F: Basis, T: Trace>(
+        &mut self,
+        window: &mut Window<'_>,
+        task: &mut Task,
+        payload: &mut [u8],
+        trace: &mut T,
+    ) -> usize {
+        let mut writer = BitWriter::new(payload);
+        let (header, scale) = (&mut task.header, task.scale);
+        header.last = match header.transform {
+            Transform::Dct => self.encode_pixels::<C, _>(window, scale, header, &mut writer, trace),
+            Transform::Dtft => {
+                self.encode_pixels::<F, _>(window, scale, header, &mut writer, trace)
+            }
+            Transform::Dwt => {
+                self.encode_pixels::<Dwt, _>(window, scale, header, &mut writer, trace)
+            }
+        };
+        writer.finish()
+    }
+
+    /// Codes the window's coefficients up to the last pixel, or as far as there is room; returns the
+    /// bytes they took. `None` where there is no room for a pixel, or no memory for the sensor: then
+    /// the frame is to be packed plain, and says so.
+    #[cfg(feature = "coefficients")]
+    #[inline(never)]
+    fn encode_coefficients<B: Basis>(
+        &mut self,
+        window: &mut Window<'_>,
+        coder: Coder,
+        task: &mut Task,
+        payload: &mut [u8],
+    ) -> Option<usize> {
+        let header = &mut task.header;
+        let sensor = header.sensor;
+        let Scratch {
+            sums,
+            totals,
+            magnitudes,
+            dense: dense_memory,
+            coefficients,
+            ..
+        } = &mut self.scratch;
+        let common = Common::new(header.packing(), header.duration_us);
+        let mut encoder = CoefficientEncoder {
+            group: &mut self.group,
+            window,
+            numbers: Numbers {
+                sums,
+                totals,
+                magnitudes,
+                kept: &mut self.kept,
+            },
+            common,
+            left: task.left,
+        };
+        let mut code = || -> Option<Taken> {
+            let memory = coefficients.as_mut()?;
+            if coder == Coder::Fast {
+                header.is_key = true;
+                return Some(encoder.fast::<B>(memory, payload));
+            }
+            // What is told before the first pixel takes some bytes too.
+            let least = dense::pixel_bytes_max(&common) + FRAME_BYTES_LEAST;
+            let dense_memory = dense_memory.as_mut().filter(|_| payload.len() >= least)?;
+            header.has_previous = dense_memory.has_previous(sensor);
+            let mut dense = Dense::new(sensor, dense_memory)?;
+            header.is_key |= core::mem::take(&mut self.breaks);
+            if header.is_key {
+                dense.restart();
+                memory.restart();
+            }
+            Some(encoder.dense::<B>(&mut dense, memory, payload))
+        };
+        let is_empty = task.left == 0;
+        let taken = code().filter(|taken| taken.pixels > 0 || is_empty);
+        let Some(taken) = taken else {
+            header.mode = Mode::Transform;
+            (header.is_key, header.has_previous) = (true, false);
+            self.breaks = true;
+            return None;
+        };
+        (header.events, header.pixels) = (taken.events, taken.pixels);
+        header.saturated = taken.saturated;
+        header.last = taken.is_last;
+        self.breaks = taken.overran;
+        Some(taken.payload_bytes)
     }
 
     /// Codes the window's events up to the last, or as far as there is room; returns the bytes they

@@ -40,6 +40,8 @@ const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
 pub enum Mode {
     /// Every active pixel as its kept coefficients: the paper's scheme.
     Transform,
+    /// The same coefficients by an adaptive coder.
+    Coefficients(Coder),
     /// The events.
     Hybrid(Hybrid),
 }
@@ -176,6 +178,9 @@ const FAST: u8 = 1;
 const DENSE: u8 = 2;
 const CODER: u8 = 3;
 const FIDELITY_SHIFT: u32 = 2;
+/// Coder of coefficients, where those of a hybrid mode have the fidelity.
+const COEFFICIENTS_FAST: u8 = TRANSFORM | (1 << FIDELITY_SHIFT);
+const COEFFICIENTS_DENSE: u8 = TRANSFORM | (2 << FIDELITY_SHIFT);
 /// Codes of the fidelity.
 const LOSSLESS: u8 = 0;
 const TOLERANCE: u8 = 1;
@@ -209,10 +214,32 @@ impl Mode {
         )
     }
 
+    /// Whether frames hold coefficients, by whichever coder.
+    #[must_use]
+    pub const fn is_transform(self) -> bool {
+        matches!(self, Self::Transform | Self::Coefficients(_))
+    }
+
+    /// Whether frames go on from those before, up to the next key frame.
+    #[must_use]
+    pub const fn is_dense(self) -> bool {
+        matches!(
+            self,
+            Self::Coefficients(Coder::Dense)
+                | Self::Hybrid(Hybrid {
+                    coder: Coder::Dense,
+                    ..
+                })
+        )
+    }
+
     /// Its code on a link, and the value that goes with it where there is one.
     pub(crate) const fn code(self) -> (u8, Option<u32>) {
-        let Self::Hybrid(Hybrid { coder, fidelity }) = self else {
-            return (TRANSFORM, None);
+        let Hybrid { coder, fidelity } = match self {
+            Self::Transform => return (TRANSFORM, None),
+            Self::Coefficients(Coder::Fast) => return (COEFFICIENTS_FAST, None),
+            Self::Coefficients(Coder::Dense) => return (COEFFICIENTS_DENSE, None),
+            Self::Hybrid(hybrid) => hybrid,
         };
         let coder = match coder {
             Coder::Fast => FAST,
@@ -228,16 +255,21 @@ impl Mode {
 
     /// The inverse of [`Self::code`]; `None` for a code or a value that there is not.
     pub(crate) const fn from_code(code: u8, value: u32) -> Option<Self> {
+        match code {
+            TRANSFORM => return Some(Self::Transform),
+            COEFFICIENTS_FAST => return Some(Self::Coefficients(Coder::Fast)),
+            COEFFICIENTS_DENSE => return Some(Self::Coefficients(Coder::Dense)),
+            _ => (),
+        }
         let fidelity = match code >> FIDELITY_SHIFT {
             LOSSLESS => Fidelity::Lossless,
             TOLERANCE => Fidelity::ToleranceUs(value),
             BINS if value > 0 && value <= u16::MAX as u32 => Fidelity::Bins(value as u16),
             _ => return None,
         };
-        let coder = match (code & CODER, fidelity) {
-            (TRANSFORM, Fidelity::Lossless) => return Some(Self::Transform),
-            (FAST, _) => Coder::Fast,
-            (DENSE, _) => Coder::Dense,
+        let coder = match code & CODER {
+            FAST => Coder::Fast,
+            DENSE => Coder::Dense,
             _ => return None,
         };
         Some(Self::Hybrid(Hybrid { coder, fidelity }))
@@ -246,7 +278,7 @@ impl Mode {
 
 /// Whether a value goes with a mode's code.
 const fn has_value(code: u8) -> bool {
-    code >> FIDELITY_SHIFT != LOSSLESS
+    code & CODER != TRANSFORM && code >> FIDELITY_SHIFT != LOSSLESS
 }
 
 /// M where a hybrid frame does not say.
@@ -333,9 +365,9 @@ impl Header {
             step_log2: self.quantiser.step_log2(),
         };
         let (code, value) = self.mode.code();
-        let is_transform = matches!(self.mode, Mode::Transform);
+        let is_transform = self.mode.is_transform();
         let mut mode = code;
-        if code & CODER == DENSE {
+        if self.mode.is_dense() {
             mode |= (u8::from(self.is_key) * KEY) | (u8::from(self.has_previous) * PREVIOUS);
             mode |= match self.scans.map(|scan| scan.readout().axis()) {
                 None => 0,
@@ -449,10 +481,15 @@ impl Header {
             return None;
         }
         let chained = wire.mode & (KEY | PREVIOUS | COLUMNS | ROWS);
-        if coder != DENSE && chained != 0 {
+        let code = wire.mode ^ chained;
+        let allowed = match (coder, code) {
+            (DENSE, _) => KEY | PREVIOUS | COLUMNS | ROWS,
+            (_, COEFFICIENTS_DENSE) => KEY | PREVIOUS,
+            _ => 0,
+        };
+        if chained & !allowed != 0 {
             return None;
         }
-        let code = wire.mode ^ chained;
         let value = if has_value(code) {
             Some(take(rest)?)
         } else {
@@ -504,7 +541,7 @@ impl Header {
             last: has(LAST),
             regime,
             mode,
-            is_key: coder != DENSE || chained & KEY != 0,
+            is_key: allowed == 0 || chained & KEY != 0,
             has_previous: chained & PREVIOUS != 0,
             scans: scan,
             order,

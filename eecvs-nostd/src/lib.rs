@@ -8,8 +8,9 @@
 //! One stage, one file. Every buffer is lent by the caller or sits in [`Storage`]; nothing
 //! allocates, nothing uses floating point on the way from an event to a frame, and the same code
 //! gives the same bits on a microcontroller and on a host. Feature `defmt` derives `defmt::Format`
-//! on the public types; `float` adds two kernels in f32 to compare with ([`kernel`]); `order`, a default,
-//! is [`Config::keep_order`]; `portable` leaves assembly out, to compare with.
+//! on the public types; `coefficients` and `order`, defaults, let the encoder take the adaptive coders of
+//! coefficients ([`coder::coefficients`]) and [`Config::keep_order`]; `float` adds two kernels in f32 to
+//! compare with ([`kernel`]); `portable` leaves assembly out, to compare with.
 #![no_std]
 
 #[cfg(test)]
@@ -24,6 +25,8 @@ mod checksum_fold;
 #[cfg(eecvs_dsp)]
 mod code_tables_dsp;
 pub mod coder;
+#[cfg(feature = "coefficients")]
+mod coefficient_encoder;
 pub mod density;
 pub mod descriptor;
 pub mod encoder;
@@ -48,6 +51,8 @@ mod lanes_dsp;
 pub mod link;
 pub mod link_source;
 pub mod pack;
+#[cfg(target_arch = "x86_64")]
+mod pack_vectors;
 pub mod packing;
 pub mod phase;
 mod pixel_encoder;
@@ -60,6 +65,8 @@ pub mod regime;
 #[cfg(eecvs_dsp)]
 mod segments_dsp;
 pub mod sensor_source;
+#[cfg(eecvs_dsp)]
+mod seven_dsp;
 mod sort;
 pub mod storage;
 pub mod trace;

@@ -6,8 +6,6 @@ use crate::packing::{MASK_GRID_MAX, Packing, width_of};
 use crate::prune::Kept;
 use crate::quantise::{Levels, highest_bits, side_by_side};
 use crate::transform::lanes::Lanes;
-#[cfg(target_arch = "x86_64")]
-use crate::transform::rows;
 #[cfg(not(target_arch = "x86_64"))]
 use crate::transform::rows::Cosines;
 use crate::transform::{M_MAX, Rule, Transform};
@@ -51,25 +49,26 @@ impl Packing {
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
 pub struct Packer {
-    gap: GapCode,
+    pub(crate) gap: GapCode,
     /// Bits of a level of one event.
-    one_bits: u32,
-    /// [`Quantiser::shift`](crate::quantise::Quantiser::shift) for the sums of [`rows`].
-    shift: u32,
+    pub(crate) one_bits: u32,
+    /// [`Quantiser::shift`](crate::quantise::Quantiser::shift) for the sums of
+    /// [`rows`](crate::transform::rows).
+    pub(crate) shift: u32,
     /// Columns of the sensor.
-    width: u32,
+    pub(crate) width: u32,
     /// [`Packing::cells_log2`]
     cells_log2: u32,
-    packing: Packing,
+    pub(crate) packing: Packing,
 }
 
 /// From the pixel before to the next, as an Exp-Golomb code: [`exp_golomb`] with what follows from
 /// its order g at hand.
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
-struct GapCode {
+pub(crate) struct GapCode {
     /// Raster index after the previous pixel's, less 2^g.
-    before: u32,
+    pub(crate) before: u32,
     /// 2^g - 1
     less: u32,
     /// 31 - g
@@ -136,7 +135,7 @@ impl Packer {
     /// What [`Self::place`] puts and how many bits, 31 at the most; nothing where these do not hold
     /// it and it has been put.
     #[inline(always)]
-    fn place_code(
+    pub(crate) fn place_code(
         &mut self,
         index: u32,
         (on, off): (u32, u32),
@@ -187,47 +186,10 @@ impl Packer {
     ) {
         let index = u32::from(y) * self.width + u32::from(x);
         #[cfg(eecvs_dsp)]
-        if seven_dsp::put(self, index, counts, cosines, writer) {
+        if crate::seven_dsp::put(self, index, counts, cosines, writer) {
             return;
         }
         self.seven_portable(index, counts, (cosines.sums(), cosines.spread()), writer);
-    }
-
-    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events, whole: its place
-    /// and the levels of its sums, which are in vectors. The output has room for it.
-    #[cfg(target_arch = "x86_64")]
-    #[inline(always)]
-    pub(crate) fn seven_vectors(
-        &mut self,
-        (x, y): (u16, u16),
-        (on, off): (u32, u32),
-        sums: rows::Sums,
-        writer: &mut BitWriter<'_>,
-    ) {
-        let index = u32::from(y) * self.width + u32::from(x);
-        writer.aside(|writer| {
-            let (code, code_bits) = self.place_code(index, (on, off), writer);
-            let levels = sums.levels(self.shift);
-            // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
-            let most = width_of((on + off).wrapping_sub(1)) + self.one_bits;
-            let bits = width_of(levels.spread()) + 1;
-            let width = 1 << (most.wrapping_sub(bits) & 31);
-            let width_bits = most.wrapping_sub(bits) + 1;
-            writer.put_long(
-                u64::from(code) | (width << code_bits),
-                code_bits + width_bits,
-            );
-            let [a, b, c, d] = levels.pairs(bits);
-            if bits <= 16 {
-                writer.put_long(a | (b << (2 * bits)), 4 * bits);
-                writer.put_long(c | (d << (2 * bits)), 3 * bits);
-            } else {
-                for pair in [a, b, c] {
-                    writer.put_long(pair, 2 * bits);
-                }
-                writer.put_long(d, bits);
-            }
-        });
     }
 
     /// The same for a raster index.
@@ -321,58 +283,6 @@ impl Packer {
                 word_bits += bits;
             }
             writer.put_here(word, word_bits);
-        });
-    }
-
-    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events of complex coefficients,
-    /// whole: its place, the set `kept`, fewer than K of up to 32, and out of `pairs` their levels, of
-    /// `bits` each and side by side. The output has room for it.
-    #[cfg(target_arch = "x86_64")]
-    #[inline(always)]
-    pub(crate) fn pairs(
-        &mut self,
-        (x, y): (u16, u16),
-        (on, off): (u32, u32),
-        (kept, pairs, bits): (u32, &[u64], u32),
-        writer: &mut BitWriter<'_>,
-    ) {
-        let index = u32::from(y) * self.width + u32::from(x);
-        let grid = u32::from(self.packing.grid);
-        let low = !(u32::MAX << (self.packing.kept() as u32 & 31));
-        writer.aside(|writer| {
-            let (code, code_bits) = self.place_code(index, (on, off), writer);
-            // A one where the set is k = 0..r, else a zero and a bit for each k.
-            let (set, set_bits) = if kept == low {
-                (1, 1)
-            } else {
-                (u64::from(kept) << 1, grid + 1)
-            };
-            writer.put_long(u64::from(code) | (set << code_bits), code_bits + set_bits);
-            let mut left = kept & !1;
-            if left == 0 {
-                return;
-            }
-            // The step is 1 at the most, and events few: 22 bits are the widest level.
-            let most = width_of((on + off).wrapping_sub(1)) + self.one_bits;
-            writer.put_unary(most.wrapping_sub(bits) & 31);
-            let pair = |k: u32| pairs.get(k as usize).copied().unwrap_or_default();
-            if bits > 16 {
-                while left != 0 {
-                    writer.put_long(pair(left.trailing_zeros()), 2 * bits);
-                    left &= left - 1;
-                }
-                return;
-            }
-            while left != 0 {
-                let first = pair(left.trailing_zeros());
-                left &= left - 1;
-                if left == 0 {
-                    return writer.put_long(first, 2 * bits);
-                }
-                let second = pair(left.trailing_zeros());
-                left &= left - 1;
-                writer.put_long(first | (second << (2 * bits)), 4 * bits);
-            }
         });
     }
 
@@ -621,223 +531,6 @@ fn is_low(kept: &Kept, grid: usize, r: u32) -> bool {
                 !(u32::MAX << here)
             }
     })
-}
-
-/// [`Packer::seven`] with everything in registers.
-#[cfg(eecvs_dsp)]
-#[allow(unsafe_code)]
-mod seven_dsp {
-    use core::arch::naked_asm;
-    use core::mem::offset_of;
-
-    use super::{GapCode, Packer};
-    use crate::bits::{BitWriter, Position};
-    use crate::transform::rows::Cosines;
-
-    /// Words that [`put`] writes at the most: 32 bits, 70 of levels, and 31 that were there.
-    const WORDS_MAX: usize = 5;
-
-    /// The bits of [`Packer::seven_portable`]; `false`, and nothing has changed, where levels have
-    /// over 10 bits, the place over 31, or the output is nearly full.
-    #[inline(always)]
-    pub fn put(
-        packer: &mut Packer,
-        index: u32,
-        (on, off): (u32, u32),
-        cosines: &Cosines,
-        writer: &mut BitWriter<'_>,
-    ) -> bool {
-        if !writer.has_words(WORDS_MAX) {
-            return false;
-        }
-        let counts = ((on + off) << 16) | on;
-        // SAFETY: the pointer is that of the reference. `seven` writes `before` of `packer`, the
-        // position, and up to `WORDS_MAX` words from there on, which are there. The build script
-        // sets `eecvs_dsp` only for cores that have the instructions.
-        unsafe {
-            let (position, words, _) = BitWriter::raw_parts(writer);
-            seven(packer, index, counts, cosines, &mut *position, words)
-        }
-    }
-
-    const _: () = assert!(offset_of!(Packer, gap) == 0 && offset_of!(GapCode, before) == 0);
-    const _: () = assert!(offset_of!(Packer, one_bits) == 16 && offset_of!(Packer, shift) == 20);
-    /// `counts` are n (2 to 64) << 16 and the ON events.
-    ///
-    /// # Safety
-    /// The words from `position.words` on are `WORDS_MAX` or more.
-    #[unsafe(naked)]
-    unsafe extern "C" fn seven(
-        packer: &mut Packer,
-        index: u32,
-        counts: u32,
-        cosines: &Cosines,
-        position: &mut Position,
-        words: *mut [u8; 4],
-    ) -> bool {
-        // Appends `$bits` bits of `$value`, which has no others; overwrites `$bits` and `$tmp`.
-        // r12: bits of the next word, lr: how many there are, r11: where the word goes.
-        macro_rules! put {
-            ($value:literal, $bits:literal, $tmp:literal) => {
-                concat!(
-                    "lsl ",
-                    $tmp,
-                    ", ",
-                    $value,
-                    ", lr\n",
-                    "orr r12, r12, ",
-                    $tmp,
-                    "\n",
-                    "add lr, ",
-                    $bits,
-                    "\n",
-                    "cmp lr, #32\n",
-                    "blo 2f\n",
-                    "str r12, [r11], #4\n",
-                    "sub lr, #32\n",
-                    "sub ",
-                    $bits,
-                    ", ",
-                    $bits,
-                    ", lr\n",
-                    // What the word had no room for; nothing where that is a shift by 32.
-                    "lsr r12, ",
-                    $value,
-                    ", ",
-                    $bits,
-                    "\n",
-                    "2:"
-                )
-            };
-        }
-        naked_asm!(
-            "push {{r4-r11, lr}}",
-            // r4: the code; r7: its bits. The gap first, and a 1 above it.
-            "ldm r0, {{r4-r7}}",
-            "subs r4, r1, r4",
-            "subs r1, r1, r5",
-            "clz r5, r4",
-            "subs r6, r6, r5",
-            "sub r7, r7, r5, lsl #1",
-            "adds r4, r4, r4",
-            "adds r4, #1",
-            "lsls r4, r6",
-            // n, whose code has its 1 from the gap's; r2: n, r12: ON events.
-            "uxth r12, r2",
-            "lsrs r2, r2, #16",
-            "clz r5, r2",
-            "rsb r5, r5, #31",
-            "adds r6, r2, r2",
-            "adds r6, #1",
-            "lsls r6, r5",
-            "subs r6, #1",
-            "lsls r6, r7",
-            "adds r4, r4, r6",
-            "adds r7, #1",
-            "add r7, r7, r5, lsl #1",
-            // ON events, with the 1 above n's code taken off.
-            "sub r12, r12, #1",
-            "lsl r12, r12, r7",
-            "add r4, r4, r12",
-            "adds r7, r7, r5",
-            "adds r7, #1",
-            // r5: bits of the widest level that there can be; r6: of the one that there is.
-            "subs r2, #1",
-            "clz r5, r2",
-            "ldrd r6, r8, [r0, #16]",
-            "rsb r5, r5, #32",
-            "adds r5, r5, r6",
-            "ldr r6, [r3, #{spread_at}]",
-            "lsrs r6, r8",
-            "clz r6, r6",
-            "rsb r6, r6, #33",
-            "cmp r6, r5",
-            "it hi",
-            "movhi r6, r5",
-            "cmp r6, #10",
-            "bhi 4f",
-            "subs r5, r5, r6",
-            "adds r7, r7, r5",
-            "movs r9, #1",
-            "lsl r5, r9, r7",
-            "orrs r4, r5",
-            "adds r7, #1",
-            "cmp r7, #32",
-            "bhi 4f",
-            // No way back from here.
-            "str r1, [r0]",
-            "ldrd r10, r0, [sp, #36]",
-            "ldm r10, {{r11, r12, lr}}",
-            "add r11, r0, r11, lsl #2",
-            "rsb lr, lr, #32",
-            put!("r4", "r7", "r5"),
-            // The first three levels; r9: 2^bits, r5: half of it, r4: the highest bit of each.
-            "add r10, r3, #{sums_at}",
-            "ldm r10!, {{r1-r3}}",
-            "asrs r1, r8",
-            "asrs r2, r8",
-            "asrs r3, r8",
-            "lsl r9, r9, r6",
-            "lsr r5, r9, #1",
-            "mla r2, r3, r9, r2",
-            "mla r4, r5, r9, r5",
-            "mla r1, r2, r9, r1",
-            "mla r4, r4, r9, r5",
-            // A negative level has borrowed from its neighbour, which half of a range more gives
-            // back.
-            "adds r1, r1, r4",
-            "eors r1, r4",
-            "add r7, r6, r6, lsl #1",
-            put!("r1", "r7", "r2"),
-            "cmp r6, #8",
-            "bhi 3f",
-            // The other four.
-            "ldm r10, {{r1, r2, r3, r7}}",
-            "asrs r1, r8",
-            "asrs r2, r8",
-            "asrs r3, r8",
-            "asrs r7, r8",
-            "mla r3, r7, r9, r3",
-            "mla r4, r4, r9, r5",
-            "mla r2, r3, r9, r2",
-            "mla r1, r2, r9, r1",
-            "adds r1, r1, r4",
-            "eors r1, r4",
-            "lsls r7, r6, #2",
-            put!("r1", "r7", "r2"),
-            "5:",
-            "ldrd r10, r0, [sp, #36]",
-            "sub r11, r11, r0",
-            "lsr r11, r11, #2",
-            "rsb lr, lr, #32",
-            "stm r10, {{r11, r12, lr}}",
-            "movs r0, #1",
-            "pop {{r4-r11, pc}}",
-            // Four of over 8 bits are more than a word: three and one.
-            "3:",
-            "ldm r10!, {{r1-r3}}",
-            "asrs r1, r8",
-            "asrs r2, r8",
-            "asrs r3, r8",
-            "mla r2, r3, r9, r2",
-            "mla r1, r2, r9, r1",
-            "adds r1, r1, r4",
-            "eors r1, r4",
-            "add r7, r6, r6, lsl #1",
-            put!("r1", "r7", "r2"),
-            "ldr r1, [r10]",
-            "asrs r1, r8",
-            "adds r1, r1, r5",
-            "eors r1, r5",
-            put!("r1", "r6", "r2"),
-            "b 5b",
-            "4:",
-            "movs r0, #0",
-            "pop {{r4-r11, pc}}",
-            sums_at = const Cosines::SUMS_AT,
-            spread_at = const Cosines::SUMS_AT + 28,
-        )
-    }
 }
 
 #[cfg(test)]

@@ -455,21 +455,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             magnitudes,
             ..
         } = &mut *self.scratch;
-        let grid = self.shape.grid;
-        let values = B::values(grid);
-        for total in totals.iter_mut().take(values) {
-            *total = WideSum::ZERO;
-        }
-        let mut impulses = Impulses::new(pixel, slots);
-        for _ in 0..(pixel.on + pixel.off).div_ceil(CHUNK_EVENTS_U32) {
-            B::accumulate(impulses.clone(), self.scale, grid, sums);
-            for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
-                // Fewer than 2^24 events of at most 1 each: far from the 2^38 that a total holds.
-                *total = total.wrapping_add(sum.wide());
-            }
-            let _ = impulses.nth(CHUNK_EVENTS - 1);
-        }
-        set_zeroth::<B, _>(pixel, totals);
+        sum_crowded::<B>(pixel, slots, self.scale, self.shape.grid, (sums, totals));
         let mut rest = Rest {
             shape: self.shape,
             magnitudes,
@@ -497,9 +483,34 @@ fn encode_single<B: Basis, T: Trace>(
     packer.single((pixel.x, pixel.y), pixel.on == 1, cell, writer);
 }
 
+/// The coefficients of a pixel of several chunks, in `totals`.
+#[inline(always)]
+pub(crate) fn sum_crowded<B: Basis>(
+    pixel: Pixel,
+    slots: &[Slot],
+    scale: PhaseScale,
+    grid: usize,
+    (sums, totals): (&mut [Sum], &mut [WideSum]),
+) {
+    let values = B::values(grid);
+    for total in totals.iter_mut().take(values) {
+        *total = WideSum::ZERO;
+    }
+    let mut impulses = Impulses::new(pixel, slots);
+    for _ in 0..(pixel.on + pixel.off).div_ceil(CHUNK_EVENTS_U32) {
+        B::accumulate(impulses.clone(), scale, grid, sums);
+        for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
+            // Fewer than 2^24 events of at most 1 each: far from the 2^38 that a total holds.
+            *total = total.wrapping_add(sum.wide());
+        }
+        let _ = impulses.nth(CHUNK_EVENTS - 1);
+    }
+    set_zeroth::<B, _>(pixel, totals);
+}
+
 /// c_0 = on - off.
 #[inline(always)]
-fn set_zeroth<B: Basis, C: Coefficient>(pixel: Pixel, sums: &mut [C]) {
+pub(crate) fn set_zeroth<B: Basis, C: Coefficient>(pixel: Pixel, sums: &mut [C]) {
     if let Some(re) = sums.first_mut() {
         *re = C::from_integer(pixel.on as i32 - pixel.off as i32);
     }

@@ -70,6 +70,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
             totals: &mut self.totals,
             magnitudes: &mut self.magnitudes,
             dense,
+            coefficients: None,
             hot: &mut [],
             order: &mut [],
         };
@@ -156,6 +157,7 @@ mod tests {
             totals: &mut totals,
             magnitudes: &mut magnitudes,
             dense: None,
+            coefficients: None,
             hot: &mut [],
             order: &mut [],
         };

@@ -10,14 +10,17 @@ use eecvs_nostd::{
 };
 use host_harness::encode::HostStorage;
 use host_harness::reconstruct::arrival::Arrivals;
+use host_harness::reconstruct::coefficients::CoefficientDecoder;
 use host_harness::reconstruct::hybrid::HybridDecoder;
 use libfuzzer_sys::fuzz_target;
 
 fn to_mode(mode: u8, fidelity: u8) -> Mode {
-    let coder = match mode % 3 {
+    let coder = match mode % 5 {
         0 => return Mode::Transform,
         1 => Coder::Fast,
-        _ => Coder::Dense,
+        2 => Coder::Dense,
+        3 => return Mode::Coefficients(Coder::Fast),
+        _ => return Mode::Coefficients(Coder::Dense),
     };
     let fidelity = match fidelity % 3 {
         0 => Fidelity::Lossless,
@@ -73,8 +76,8 @@ fuzz_target!(|data: &[u8]| {
             isolated: *control & 1 == 1,
         },
         bytes_per_second: NonZeroU32::new(budget)
-            .filter(|_| *control & 2 == 2 && mode != Mode::Transform),
-        keep_order: *key & 2 == 2 && mode != Mode::Transform,
+            .filter(|_| *control & 2 == 2 && !mode.is_transform()),
+        keep_order: *key & 2 == 2 && !mode.is_transform(),
     };
     let mut storage = HostStorage::new(sensor, 1 + usize::from(*capacity));
     let mut encoder = storage.encoder(config).expect("a valid configuration");
@@ -82,6 +85,7 @@ fuzz_target!(|data: &[u8]| {
     let mut accounted = 0;
     let mut decoder = HybridDecoder::default();
     let (mut arrivals, mut window) = (Arrivals::default(), vec![]);
+    let mut coefficients = CoefficientDecoder::default();
     let mut frames = |encoder: &mut eecvs_nostd::Encoder<'_>| {
         while let Some(encoded) = encoder.next_frame(&mut out).expect("room for a frame") {
             let frame = Frame::parse(&out[encoded.range]).expect("a whole frame");
@@ -91,6 +95,14 @@ fuzz_target!(|data: &[u8]| {
                     .descriptors()
                     .map(|descriptor| descriptor.expect("the encoder's own payload").events())
                     .sum::<u32>(),
+                Mode::Coefficients(coder) => {
+                    let mut events = 0;
+                    let found = coefficients.descriptors(&frame, coder, |descriptor| {
+                        events += descriptor.events();
+                    });
+                    found.expect("the encoder's own payload");
+                    events
+                }
                 Mode::Hybrid(hybrid) => {
                     let found = decoder.frame(&frame, hybrid);
                     let found = found.expect("the encoder's own payload");

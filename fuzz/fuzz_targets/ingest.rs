@@ -116,6 +116,7 @@ fuzz_target!(|data: &[u8]| {
         totals: &mut totals,
         magnitudes: &mut magnitudes,
         dense: None,
+        coefficients: None,
         hot: &mut [0; 20],
         order: &mut [],
     };

@@ -10,6 +10,7 @@ use serde::Serialize;
 use crate::formats::EventWriter;
 use crate::frame_file::{FrameReader, LinkReport};
 use crate::reconstruct::arrival::Arrivals;
+use crate::reconstruct::coefficients::CoefficientDecoder;
 use crate::reconstruct::events::{EventDecoder, Finder};
 use crate::reconstruct::hybrid::{HybridDecoder, Refused};
 use crate::reconstruct::recover::Confidences;
@@ -22,6 +23,7 @@ pub struct WindowReader<R> {
     /// Events of `pending`.
     pending_events: u32,
     counts: FrameCounts,
+    coefficients: CoefficientDecoder,
     hybrid: HybridDecoder,
     arrivals: Arrivals,
     /// Time spent on payloads.
@@ -57,6 +59,7 @@ impl<R: Read> WindowReader<R> {
             pending: None,
             pending_events: 0,
             counts: FrameCounts::default(),
+            coefficients: CoefficientDecoder::default(),
             hybrid: HybridDecoder::default(),
             arrivals: Arrivals::default(),
             busy: Duration::ZERO,
@@ -95,6 +98,10 @@ impl<R: Read> WindowReader<R> {
                     Ok(pixels) => Ok((pixels, vec![])),
                     Err(_) => Err(Refused::Malformed),
                 },
+                Mode::Coefficients(coder) => {
+                    let pixels = self.coefficients.frame(&located.frame, coder);
+                    pixels.map(|pixels| (pixels, vec![]))
+                }
                 Mode::Hybrid(hybrid) => {
                     let events = self.hybrid.frame(&located.frame, hybrid);
                     events.map(|events| (vec![], events))

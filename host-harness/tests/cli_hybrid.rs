@@ -85,13 +85,30 @@ fn the_volume_is_the_same_in_both_modes() {
         "--transform dtft -m 8",
         "--transform dwt -m 3 --grid 100",
     ] {
-        for (mode, name) in [("transform", "a"), ("hybrid --coder dense", "b")] {
+        for (mode, name) in [
+            ("transform", "a"),
+            ("hybrid --coder dense", "b"),
+            ("transform --coder fast", "c"),
+            ("transform --coder dense", "d"),
+        ] {
             let encode = format!("encode scene.raw -o {name}.eecvs --mode {mode} {flags}");
             folder.eecvs(&encode).ok();
             let decode = format!("decode {name}.eecvs --volume {name}.npy --window 2");
             folder.eecvs(&decode).ok();
         }
-        assert!(folder.bytes("a.npy") == folder.bytes("b.npy"), "{flags}");
+        for other in ["b", "c", "d"] {
+            let other = folder.bytes(&format!("{other}.npy"));
+            assert!(folder.bytes("a.npy") == other, "{flags}");
+        }
+        let [plain, dense] = ["a", "d"].map(|name| folder.bytes(&format!("{name}.eecvs")).len());
+        assert!(dense < plain, "{flags}: {dense} of {plain}");
+        let rows = folder.eecvs("inspect d.eecvs --json").ok().array();
+        for row in rows {
+            assert_eq!(
+                (&row["mode"], &row["coder"]),
+                (&"transform".into(), &"dense".into())
+            );
+        }
     }
 }
 
@@ -122,6 +139,7 @@ fn what_does_not_go_together_is_refused() {
         "--bins 0",
         "--bins 65536",
         "--coder best",
+        "--max-error 0.1 --step-log2 -6",
         "--key-windows 0",
         "--time-tolerance-us -1",
         "--region 1,2,3",
@@ -134,6 +152,12 @@ fn what_does_not_go_together_is_refused() {
     folder
         .eecvs("encode scene.raw -o a.eecvs --mode transform --bins 8")
         .fails(&["--bins", "--mode hybrid"]);
+    folder
+        .eecvs("encode scene.raw -o a.eecvs --coder plain")
+        .fails(&["--coder plain", "--mode transform"]);
+    folder
+        .eecvs("encode scene.raw -o a.eecvs --mode transform --max-error 1e-5")
+        .fails(&["--max-error 0.00001", "2^-16"]);
     folder
         .eecvs("encode scene.raw -o a.eecvs --bytes-per-second 100")
         .fails(&["budget", "146 bytes a window"]);

@@ -14,7 +14,7 @@ use super::content::Content;
 #[cfg(eecvs_dsp)]
 use super::dense_dsp;
 pub(crate) use super::dense_times::EVENT_BYTES_MAX;
-use super::dense_times::{Clock, Following, Neighbour};
+use super::dense_times::{Clock, CodedPixel, Following, Neighbour, Times as LearnedTimes};
 #[cfg(eecvs_dsp)]
 use super::dense_walk_dsp::Walk;
 use super::model::Model;
@@ -152,10 +152,24 @@ impl<'b> Dense<'b> {
         times: Times,
     ) -> Coded {
         let clock = Clock::new(times.count(), times.fine_bits());
+        self.code_with(coder, content, clock)
+    }
+
+    /// As [`Self::code`], where `step` codes what follows a pixel's place and its polarity.
+    #[inline(always)]
+    pub(super) fn code_with<C: Binary, T: Content, S: Step<T>>(
+        &mut self,
+        coder: &mut C,
+        content: &mut T,
+        #[cfg_attr(not(eecvs_dsp), allow(unused_mut))] mut step: S,
+    ) -> Coded {
         let mut frame = Frame {
             #[cfg(eecvs_dsp)]
-            walk: Walk::new(&clock),
-            clock,
+            walk: step
+                .clock()
+                .filter(|clock| dense_dsp::serves(clock))
+                .map(|clock| Walk::new(clock)),
+            step,
             coded: Coded {
                 events: 0,
                 pixels: 0,
@@ -206,12 +220,12 @@ impl<'b> Dense<'b> {
 
     /// Whether there may be more after this row.
     #[inline(always)]
-    fn code_row<C: Binary, T: Content>(
+    fn code_row<C: Binary, T: Content, S: Step<T>>(
         &mut self,
         coder: &mut C,
         content: &mut T,
         y: usize,
-        frame: &mut Frame,
+        frame: &mut Frame<S>,
     ) -> bool {
         let stride = self.stride;
         let row = self.row(y);
@@ -224,7 +238,7 @@ impl<'b> Dense<'b> {
         let mut goes_on = true;
         let mut begun = None;
         #[cfg(eecvs_dsp)]
-        if dense_dsp::serves(&frame.clock) {
+        if frame.walk.is_some() {
             let all = (&mut *coder, &mut *content);
             if let Some(walked) = self.walk_row(all, (y, row, &rows, following), frame) {
                 segment = walked.segment;
@@ -292,11 +306,11 @@ impl<'b> Dense<'b> {
     /// The segments of an encoder's row by [`dense_dsp`], as far as that goes.
     #[cfg(eecvs_dsp)]
     #[inline(never)]
-    fn walk_row<C: Binary, T: Content>(
+    fn walk_row<C: Binary, T: Content, S: Step<T>>(
         &mut self,
         (coder, content): (&mut C, &mut T),
         (y, row, rows, following): (usize, usize, &Rows, Following),
-        frame: &mut Frame,
+        frame: &mut Frame<S>,
     ) -> Option<dense_dsp::Walked> {
         let (stride, has_previous) = (self.stride, self.has_previous);
         let width = usize::from(self.sensor.width);
@@ -314,7 +328,8 @@ impl<'b> Dense<'b> {
         };
         let coder = coder.parts()?;
         let (learned, lists) = (&mut *self.model, (&mut *self.lists, &mut *self.lasts));
-        let Frame { clock, walk, coded } = frame;
+        let Frame { step, walk, coded } = frame;
+        let (walk, clock) = (walk.as_mut()?, step.clock()?);
         let walked = content.with_parts(|parts| {
             let place = (y, width, following);
             walk.row(
@@ -387,14 +402,14 @@ impl<'b> Dense<'b> {
 
     /// Whether there may be more after this segment.
     #[inline(always)]
-    fn code_segment<C: Binary, T: Content>(
+    fn code_segment<C: Binary, T: Content, S: Step<T>>(
         &mut self,
         coder: &mut C,
         content: &mut T,
         (segment, y, following): (usize, usize, Following),
         around: &Around,
         (from, made): (u32, &mut Made),
-        frame: &mut Frame,
+        frame: &mut Frame<S>,
     ) -> bool {
         let seen = around.columns(self.has_previous);
         let columns = (usize::from(self.sensor.width) - 32 * segment).min(32) as u32;
@@ -438,7 +453,7 @@ impl<'b> Dense<'b> {
             );
             let times = &mut self.model.times;
             let pixel = frame
-                .clock
+                .step
                 .pixel(times, coder, content, first_on, (neighbours, following));
             frame.coded.pixels += 1;
             frame.coded.events += pixel.events;
@@ -515,11 +530,51 @@ struct Made {
 }
 
 /// What goes on from pixel to pixel.
-struct Frame {
-    clock: Clock,
+struct Frame<S> {
+    step: S,
     coded: Coded,
     #[cfg(eecvs_dsp)]
-    walk: Walk,
+    walk: Option<Walk>,
+}
+
+/// What is coded of a pixel after its place and the polarity that its neighbours foretell.
+pub(super) trait Step<T> {
+    /// Codes it; `around` is what is known of the neighbours to the west and north, and what the row
+    /// does with their times.
+    fn pixel<C: Binary>(
+        &mut self,
+        times: &mut LearnedTimes,
+        coder: &mut C,
+        content: &mut T,
+        on: bool,
+        around: ((Neighbour, Neighbour), Following),
+    ) -> CodedPixel;
+
+    /// The events' clock, where they are all that it codes: an encoder's walk in assembly may do so too.
+    #[cfg(eecvs_dsp)]
+    fn clock(&mut self) -> Option<&mut Clock> {
+        None
+    }
+}
+
+/// Events.
+impl<T: Content> Step<T> for Clock {
+    #[inline(always)]
+    fn pixel<C: Binary>(
+        &mut self,
+        times: &mut LearnedTimes,
+        coder: &mut C,
+        content: &mut T,
+        on: bool,
+        around: ((Neighbour, Neighbour), Following),
+    ) -> CodedPixel {
+        Self::pixel(self, times, coder, content, on, around)
+    }
+
+    #[cfg(eecvs_dsp)]
+    fn clock(&mut self) -> Option<&mut Clock> {
+        Some(self)
+    }
 }
 
 #[cfg(test)]

@@ -7,6 +7,8 @@
 pub mod big_bits;
 pub mod cells;
 pub mod chain;
+#[cfg_attr(not(feature = "coefficients"), allow(dead_code))]
+pub mod coefficients;
 pub mod content;
 pub mod dense;
 #[cfg(eecvs_dsp)]

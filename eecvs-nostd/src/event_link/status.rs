@@ -45,6 +45,8 @@ pub enum Refusal {
     HotUnset,
     /// No memory for the order of events, or coefficients, which have none.
     Order,
+    /// The image has no adaptive coder of coefficients.
+    Coefficients,
 }
 
 impl From<ConfigError> for Refusal {
@@ -57,6 +59,7 @@ impl From<ConfigError> for Refusal {
             ConfigError::Bins => Self::Bins,
             ConfigError::Rate => Self::Rate,
             ConfigError::Order => Self::Order,
+            ConfigError::Coefficients => Self::Coefficients,
         }
     }
 }

@@ -240,7 +240,7 @@ impl Run {
         )?;
         Ok(Row {
             name,
-            is_transform: mode == Mode::Transform,
+            is_transform: mode.is_transform(),
             encoded,
             compared,
         })

@@ -3,7 +3,7 @@
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use eecvs_nostd::{
     Coder, Config, Fidelity, Filter, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN,
@@ -12,6 +12,7 @@ use eecvs_nostd::{
 
 use super::options::{SizeOptions, ThresholdOptions};
 use super::output::{print, print_json, rows};
+use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
 use crate::formats::{self, EventReader};
 use crate::hot_pixels;
@@ -67,11 +68,11 @@ pub struct CodecOptions {
     #[arg(long, value_name = "B", value_parser = clap::value_parser!(u16).range(1..))]
     bins: Option<u16>,
 
-    /// hybrid: how events become bits
-    #[arg(long, value_enum, default_value = "fast")]
-    coder: CoderName,
+    /// How events or coefficients become bits [default: fast in mode hybrid, plain in mode transform]
+    #[arg(long, value_enum)]
+    coder: Option<CoderName>,
 
-    /// hybrid, dense: windows after which a frame can be decoded without those before it
+    /// dense: windows after which a frame can be decoded without those before it
     #[arg(long, value_name = "N", default_value_t = KEY_WINDOWS,
           value_parser = clap::value_parser!(u16).range(1..=256))]
     key_windows: u16,
@@ -123,6 +124,11 @@ pub struct CodecOptions {
           value_parser = clap::value_parser!(i8).range(-15..=8))]
     step_log2: i8,
 
+    /// Largest error of a kept coefficient, of re and im each: takes the largest step that keeps it. The
+    /// kernel's own error, up to 2^-14 per event in the pixel, comes on top
+    #[arg(long, value_name = "E", conflicts_with = "step_log2")]
+    max_error: Option<f64>,
+
     /// Duration of a window in microseconds
     #[arg(long, value_name = "T", default_value = "32768")]
     window_us: NonZeroU32,
@@ -156,9 +162,11 @@ enum ModeName {
     Transform,
 }
 
-/// A coder of events on the command line.
+/// A coder of events or coefficients on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum CoderName {
+    /// transform: codes that do not adapt, as a microcontroller sends coefficients
+    Plain,
     /// For speed; every frame decodes by itself
     Fast,
     /// For size; frames go on from those before, up to the next key frame
@@ -245,8 +253,11 @@ impl CodecOptions {
         let mode = match self.mode {
             ModeName::Hybrid => Mode::Hybrid(Hybrid {
                 coder: match self.coder {
-                    CoderName::Fast => Coder::Fast,
-                    CoderName::Dense => Coder::Dense,
+                    None | Some(CoderName::Fast) => Coder::Fast,
+                    Some(CoderName::Dense) => Coder::Dense,
+                    Some(CoderName::Plain) => {
+                        bail!("--coder plain is for --mode transform")
+                    }
                 },
                 fidelity,
             }),
@@ -259,7 +270,11 @@ impl CodecOptions {
                     fidelity == Fidelity::Lossless && self.bytes_per_second.is_none(),
                     "--time-tolerance-us, --bins and --bytes-per-second are for --mode hybrid"
                 );
-                Mode::Transform
+                match self.coder {
+                    None | Some(CoderName::Plain) => Mode::Transform,
+                    Some(CoderName::Fast) => Mode::Coefficients(Coder::Fast),
+                    Some(CoderName::Dense) => Mode::Coefficients(Coder::Dense),
+                }
             }
         };
         Ok(Config {
@@ -276,7 +291,14 @@ impl CodecOptions {
             },
             m: self.m,
             grid: self.grid,
-            quantiser: Quantiser::new(self.step_log2).context("the step is out of range")?,
+            quantiser: match self.max_error {
+                None => Quantiser::new(self.step_log2).context("the step is out of range")?,
+                Some(error) => quantiser_within(error).with_context(|| {
+                    format!(
+                        "--max-error {error}: no step keeps it: ask for 2^-16, 0.0000153, or more"
+                    )
+                })?,
+            },
             mode,
             key_windows: self.key_windows,
             readout: None,

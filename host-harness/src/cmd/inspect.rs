@@ -127,7 +127,10 @@ impl Row {
                 Fidelity::Bins(count) => bins = Some(count),
             }
         }
-        let is_transform = header.mode == Mode::Transform;
+        if let Mode::Coefficients(by) = header.mode {
+            coder = Some(by.name());
+        }
+        let is_transform = header.mode.is_transform();
         Self {
             index,
             seq: header.sequence,

@@ -1,7 +1,7 @@
 //! What an encoder on the host is asked to do: the core's configuration, and the kernel.
 
 use eecvs_nostd::kernel::{Libm, Micromath, Precise, Recurrence};
-use eecvs_nostd::{Coder, Config, Encoded, Hybrid, Kernel, Mode, NoRoom, Window, WindowEncoder};
+use eecvs_nostd::{Config, Encoded, Kernel, NoRoom, Window, WindowEncoder};
 
 /// A configuration, and the kernel of the accumulate stage.
 #[derive(Debug, Clone, Copy)]
@@ -27,14 +27,9 @@ impl From<Config> for Codec<'_> {
 
 impl Codec<'_> {
     /// Of the dense coder, windows after which its frames begin anew.
-    pub(super) const fn chained(&self) -> Option<u16> {
-        match self.config.mode {
-            Mode::Hybrid(Hybrid {
-                coder: Coder::Dense,
-                ..
-            }) => Some(self.config.key_windows),
-            _ => None,
-        }
+    pub(super) fn chained(&self) -> Option<u16> {
+        let is_dense = self.config.mode.is_dense();
+        is_dense.then_some(self.config.key_windows)
     }
 
     /// [`WindowEncoder::next_frame`] with the kernel. The encoder's own has its fast way.

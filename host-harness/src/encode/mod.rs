@@ -4,6 +4,7 @@ mod codec;
 mod cutter;
 mod parallel;
 pub mod readout;
+pub mod step;
 mod storage;
 
 use std::io::Write;

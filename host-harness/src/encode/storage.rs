@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::arrival;
+use eecvs_nostd::coder::coefficients::CoefficientMemory;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
 use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
@@ -26,6 +27,7 @@ pub struct HostStorage {
     words: Vec<u32>,
     order: Vec<u32>,
     hot: Vec<u32>,
+    coefficients: Box<CoefficientMemory>,
 }
 
 /// Buffers of a window.
@@ -110,6 +112,7 @@ impl HostStorage {
             words: vec![0; words(sensor, true).min(limits.dense_words)],
             order: Vec::new(),
             hot: Vec::new(),
+            coefficients: Box::new(CoefficientMemory::UNSET),
         }
     }
 
@@ -163,6 +166,7 @@ impl HostStorage {
                 model: &mut self.model,
                 words: &mut self.words,
             }),
+            coefficients: Some(&mut self.coefficients),
             hot: &mut self.hot,
             order: &mut self.order,
         };

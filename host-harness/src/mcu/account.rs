@@ -8,6 +8,7 @@ use eecvs_nostd::{Frame, Header, Mode, Order, Sequence};
 
 use super::link::{Demultiplexer, Message};
 use super::{Outcome, status_of};
+use crate::reconstruct::coefficients::CoefficientDecoder;
 use crate::reconstruct::hybrid::HybridDecoder;
 
 /// The account of a run.
@@ -24,6 +25,7 @@ pub struct Account {
     outcome: Outcome,
     out_of_order: u64,
     malformed: u64,
+    coefficients: CoefficientDecoder,
     hybrid: HybridDecoder,
     first_different: Option<String>,
 }
@@ -39,6 +41,7 @@ impl Account {
             outcome: Outcome::default(),
             out_of_order: 0,
             malformed: 0,
+            coefficients: CoefficientDecoder::default(),
             hybrid: HybridDecoder::default(),
             first_different: None,
         }
@@ -96,6 +99,7 @@ impl Account {
         let Some(expected) = &self.expected else {
             let whole = Frame::parse(bytes).is_ok_and(|frame| match frame.header.mode {
                 Mode::Transform => frame.descriptors().all(|pixel| pixel.is_ok()),
+                Mode::Coefficients(coder) => self.coefficients.frame(&frame, coder).is_ok(),
                 Mode::Hybrid(hybrid) => self.hybrid.frame(&frame, hybrid).is_ok(),
             });
             self.malformed += u64::from(!whole);

@@ -149,5 +149,6 @@ const fn reason(refusal: Refusal) -> &'static str {
         Refusal::HotRoom => "it has no memory for more",
         Refusal::HotUnset => "they came before a setup",
         Refusal::Order => "it cannot keep the order of events",
+        Refusal::Coefficients => "it has no adaptive coder of coefficients: --coder plain",
     }
 }

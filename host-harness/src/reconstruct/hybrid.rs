@@ -32,21 +32,36 @@ pub struct HybridDecoder {
 
 /// What the dense coder knows after a frame.
 #[derive(Debug)]
-struct Chain {
-    sensor: Sensor,
-    model: Box<Model>,
-    words: Vec<u32>,
+pub(super) struct Chain {
+    pub(super) sensor: Sensor,
+    pub(super) model: Box<Model>,
+    pub(super) words: Vec<u32>,
     /// Number of the frame that goes on from here.
-    next: u32,
+    pub(super) next: u32,
 }
 
 impl Chain {
-    fn new(sensor: Sensor) -> Self {
+    pub(super) fn new(sensor: Sensor) -> Self {
         Self {
             sensor,
             model: Box::new(Model::UNSET),
             words: vec![0; words(sensor, true)],
             next: 0,
+        }
+    }
+
+    /// The chain that a frame goes on from: `before`, or of a key frame any.
+    ///
+    /// # Errors
+    /// [`Refused::Dependent`].
+    pub(super) fn of(before: Option<Self>, header: &Header) -> Result<Self, Refused> {
+        let before = before.filter(|chain| chain.sensor == header.sensor);
+        if header.is_key {
+            Ok(before.unwrap_or_else(|| Self::new(header.sensor)))
+        } else {
+            before
+                .filter(|chain| chain.next == header.sequence)
+                .ok_or(Refused::Dependent)
         }
     }
 }
@@ -89,16 +104,7 @@ impl HybridDecoder {
         payload: &[u8],
         times: Times,
     ) -> Result<Vec<Event>, Refused> {
-        let chain = self.chain.take();
-        let mut chain = if header.is_key {
-            chain
-                .filter(|chain| chain.sensor == header.sensor)
-                .unwrap_or_else(|| Chain::new(header.sensor))
-        } else {
-            chain
-                .filter(|chain| chain.sensor == header.sensor && chain.next == header.sequence)
-                .ok_or(Refused::Dependent)?
-        };
+        let mut chain = Chain::of(self.chain.take(), header)?;
         let mut memory = DenseMemory {
             model: &mut chain.model,
             words: &mut chain.words,
@@ -225,7 +231,7 @@ impl DecodedWindow {
     /// # Errors
     /// A window that the encoder does not take.
     pub fn with_pixels(&self) -> Result<Self> {
-        if self.header.mode == Mode::Transform {
+        if self.header.mode.is_transform() {
             return Ok(self.clone());
         }
         let header = &self.header;

@@ -2,6 +2,7 @@
 
 pub mod arrival;
 pub mod bins;
+pub mod coefficients;
 pub mod crowd;
 pub mod ensemble;
 pub mod equations;

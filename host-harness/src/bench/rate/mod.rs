@@ -68,7 +68,8 @@ impl Effort {
     #[must_use]
     pub fn rows(&self) -> usize {
         let hybrid = 2 * (1 + self.tolerances_us.len() + self.bins.len());
-        let transform = Transform::ALL.len() * self.m.len();
+        // Plain, and by the two coders.
+        let transform = 3 * Transform::ALL.len() * self.m.len();
         let arrays = tore::Value::ALL.len() + voxel::Value::ALL.len() * self.voxel_bins.len();
         hybrid + transform + lossless::peers().len() + arrays
     }
@@ -79,7 +80,8 @@ impl Effort {
 pub struct Row {
     /// Its name.
     pub recording: String,
-    /// `hybrid-dense`, `hybrid-fast`, `transform-dct`, ..., or a peer's name.
+    /// `hybrid-dense`, `hybrid-fast`, `transform-dct`, `transform-dct-fast`, `transform-dct-dense`, ...,
+    /// or a peer's name.
     pub codec: &'static str,
     /// `lossless`, `50 us`, `8 bins`, `M = 16`; type and bins of an array.
     pub setting: String,
@@ -115,6 +117,19 @@ pub const fn transform_name(transform: Transform) -> &'static str {
         Transform::Dct => "transform-dct",
         Transform::Dtft => "transform-dtft",
         Transform::Dwt => "transform-dwt",
+    }
+}
+
+/// The name of its rows by an adaptive coder.
+#[must_use]
+pub const fn coded_name(transform: Transform, coder: Coder) -> &'static str {
+    match (transform, coder) {
+        (Transform::Dct, Coder::Fast) => "transform-dct-fast",
+        (Transform::Dct, Coder::Dense) => "transform-dct-dense",
+        (Transform::Dtft, Coder::Fast) => "transform-dtft-fast",
+        (Transform::Dtft, Coder::Dense) => "transform-dtft-dense",
+        (Transform::Dwt, Coder::Fast) => "transform-dwt-fast",
+        (Transform::Dwt, Coder::Dense) => "transform-dwt-dense",
     }
 }
 
@@ -175,7 +190,7 @@ impl Subject<'_> {
         let codec = coder_name(coder);
         let measured = || -> Result<Row> {
             let decoded = ours::hybrid(self.source, Hybrid { coder, fidelity })?;
-            let row = self.row(codec, &setting, decoded.bytes, decoded.seconds);
+            let row = self.row(codec, &setting, decoded.file.len(), decoded.seconds);
             self.promised(row, promise, &decoded.events)
         };
         let row = measured().with_context(|| self.name(codec, &setting))?;
@@ -185,18 +200,32 @@ impl Subject<'_> {
 
     fn transform(&mut self, transform: Transform, m: u8) -> Result<()> {
         let (codec, setting) = (transform_name(transform), format!("M = {m}"));
-        let measured = || -> Result<Row> {
+        let measured = || -> Result<(Row, Vec<u8>)> {
             let decoded = ours::transform(self.source, transform, m)?;
-            let row = self.row(codec, &setting, decoded.bytes, decoded.seconds);
+            let row = self.row(codec, &setting, decoded.file.len(), decoded.seconds);
             let row = self.promised(row, Promise::Counts, &decoded.events)?;
             let volume = decoded.coefficients.as_ref();
-            Ok(Row {
+            let row = Row {
                 coefficients_nmse: volume.and_then(|volume| self.volume.nmse(volume)),
                 ..row
-            })
+            };
+            Ok((row, decoded.file))
         };
-        let row = measured().with_context(|| self.name(codec, &setting))?;
-        self.push(row);
+        let (row, plain) = measured().with_context(|| self.name(codec, &setting))?;
+        self.push(row.clone());
+        for coder in [Coder::Fast, Coder::Dense] {
+            let codec = coded_name(transform, coder);
+            let coded = ours::coded(self.source, transform, m, coder, &plain);
+            let (bytes, seconds) = coded.with_context(|| self.name(codec, &setting))?;
+            // What is decoded is the same.
+            let of = self.row(codec, &setting, bytes, seconds);
+            self.push(Row {
+                codec,
+                bits_per_event: of.bits_per_event,
+                seconds,
+                ..row.clone()
+            });
+        }
         Ok(())
     }
 

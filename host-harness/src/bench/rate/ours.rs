@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::{
-    Config, Event, Filter, Hybrid, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform,
+    Coder, Config, Event, Filter, Hybrid, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform,
     WindowConfig,
 };
 use std::num::NonZeroUsize;
@@ -18,8 +18,8 @@ use crate::reconstruct::events::{EventDecoder, Finder};
 
 /// A recording encoded and decoded.
 pub struct Decoded {
-    /// Of the file, headers and all.
-    pub bytes: usize,
+    /// The file, headers and all.
+    pub file: Vec<u8>,
     /// Spent encoding, one thread.
     pub seconds: f64,
     /// What came back.
@@ -45,9 +45,88 @@ pub fn transform(source: &Source, transform: Transform, m: u8) -> Result<Decoded
     round_trip(source, Mode::Transform, Some(transform), m)
 }
 
+/// The same coefficients by an adaptive coder: bytes of the file, and seconds spent encoding on one
+/// thread. `plain` is the file of plain codes.
+///
+/// # Errors
+/// A frame that does not decode, or a coefficient that is not the plain one's.
+pub fn coded(
+    source: &Source,
+    transform: Transform,
+    m: u8,
+    coder: Coder,
+    plain: &[u8],
+) -> Result<(usize, f64)> {
+    let mode = Mode::Coefficients(coder);
+    let (file, seconds) = encoded(source, mode, Some(transform), m)?;
+    let mut windows = [plain, &file].map(|file| WindowReader::new(FrameReader::new(file)));
+    let [plain, coded] = &mut windows;
+    loop {
+        let (plain, coded) = (plain.next_window()?, coded.next_window()?);
+        let pixels = [&plain, &coded].map(|window| window.as_ref().map(|window| &window.pixels));
+        ensure!(
+            pixels[0] == pixels[1],
+            "its coefficients are not those of plain codes; please report this"
+        );
+        if plain.is_none() {
+            return Ok((file.len(), seconds));
+        }
+    }
+}
+
 /// # Errors
 /// A frame that does not decode, or an event that is not in any.
 fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) -> Result<Decoded> {
+    let (file, seconds) = encoded(source, mode, transform, m)?;
+    let grid = source.grid();
+    let is_transform = mode.is_transform();
+    let mut windows = WindowReader::new(FrameReader::new(&file[..]));
+    let mut events = Vec::with_capacity(source.events.len());
+    let mut cells = Vec::new();
+    let mut decoder: Option<(EventDecoder, Bins)> = None;
+    while let Some(window) = windows.next_window()? {
+        let header = &window.header;
+        let (decoder, bins) = match &mut decoder {
+            Some(decoder) if decoder.0.fits(&window) => decoder,
+            _ => decoder.insert((
+                EventDecoder::new(header.transform, header.grid, header.m, Finder::Peaks),
+                Bins::new(header.transform, header.grid, BINS),
+            )),
+        };
+        events.extend(decoder.window(&window));
+        if is_transform {
+            let (number, since_us) = grid.window(header.t0_us);
+            ensure!(
+                since_us == 0 && header.duration_us == WINDOW_US,
+                "a window was closed early, and its volume is no other's: make the window shorter"
+            );
+            for pixel in &window.pixels {
+                cells.extend((0..BINS).map(|bin| {
+                    let cell = grid.cell(number, pixel.x, pixel.y, bin);
+                    (cell, bins.value(pixel, bin))
+                }));
+            }
+        }
+    }
+    let report = windows.report();
+    ensure!(
+        report.is_clean(),
+        "frames do not come back; please report this"
+    );
+    Ok(Decoded {
+        file,
+        seconds,
+        events,
+        coefficients: is_transform.then(|| Volume::new(cells)),
+    })
+}
+/// The file of a recording, and seconds spent encoding it on one thread.
+fn encoded(
+    source: &Source,
+    mode: Mode,
+    transform: Option<Transform>,
+    m: u8,
+) -> Result<(Vec<u8>, f64)> {
     let config = Config {
         window: WindowConfig {
             sensor: source.sensor,
@@ -82,47 +161,7 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
         summary.events_in - summary.events_encoded,
         summary.events_in
     );
-    let grid = source.grid();
-    let is_transform = mode == Mode::Transform;
-    let mut windows = WindowReader::new(FrameReader::new(&bytes[..]));
-    let mut events = Vec::with_capacity(source.events.len());
-    let mut cells = Vec::new();
-    let mut decoder: Option<(EventDecoder, Bins)> = None;
-    while let Some(window) = windows.next_window()? {
-        let header = &window.header;
-        let (decoder, bins) = match &mut decoder {
-            Some(decoder) if decoder.0.fits(&window) => decoder,
-            _ => decoder.insert((
-                EventDecoder::new(header.transform, header.grid, header.m, Finder::Peaks),
-                Bins::new(header.transform, header.grid, BINS),
-            )),
-        };
-        events.extend(decoder.window(&window));
-        if is_transform {
-            let (number, since_us) = grid.window(header.t0_us);
-            ensure!(
-                since_us == 0 && header.duration_us == WINDOW_US,
-                "a window was closed early, and its volume is no other's: make the window shorter"
-            );
-            for pixel in &window.pixels {
-                cells.extend((0..BINS).map(|bin| {
-                    let cell = grid.cell(number, pixel.x, pixel.y, bin);
-                    (cell, bins.value(pixel, bin))
-                }));
-            }
-        }
-    }
-    let report = windows.report();
-    ensure!(
-        report.is_clean(),
-        "frames do not come back; please report this"
-    );
-    Ok(Decoded {
-        bytes: bytes.len(),
-        seconds: summary.encode_s,
-        events,
-        coefficients: is_transform.then(|| Volume::new(cells)),
-    })
+    Ok((bytes, summary.encode_s))
 }
 
 impl Source {

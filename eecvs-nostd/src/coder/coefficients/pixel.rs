@@ -1,0 +1,239 @@
+//! One pixel's coefficients, on either side of the link.
+
+use heapless::Vec;
+
+use crate::coder::cells::{Cells, Fidelity};
+use crate::descriptor::{Coded, Descriptor};
+use crate::fixed_point::CHUNK_EVENTS;
+use crate::group;
+use crate::packing::{Packing, Shape, width_of};
+use crate::phase::PhaseScale;
+use crate::prune::Kept;
+use crate::quantise::Level;
+use crate::transform::{M_MAX, Transform};
+
+/// Largest K of pixels that are told by their events: what a decoder computes for one stays within
+/// bounds, and so does the memory that it takes.
+pub(super) const TOLD_GRID_MAX: usize = 128;
+/// The cells that tell a pixel of the DTFT, whose levels are twice as many and of higher frequencies, are
+/// so many times finer than a single event's, as a power of two.
+const FINER_LOG2: u32 = 2;
+
+/// Cells that are half as wide at the most as 2^-`cells_log2` of the window, on either side of their
+/// middle; of a microsecond where they would be of three.
+const fn told_within(cells_log2: u32, duration_us: u32) -> Fidelity {
+    match duration_us >> (cells_log2 + 1) {
+        0 | 1 => Fidelity::Lossless,
+        tolerance_us => Fidelity::ToleranceUs(tolerance_us),
+    }
+}
+
+/// What all pixels of a frame have in common.
+#[derive(Debug, Clone, Copy)]
+pub struct Common {
+    /// What the plain payload knows too.
+    pub(super) packing: Packing,
+    pub(super) scale: PhaseScale,
+    /// b of a single event.
+    pub(super) cells_log2: u32,
+    /// Cells of the events that tell a pixel.
+    pub(super) cells: Cells,
+}
+
+impl Common {
+    /// Of a frame of a window of `duration_us`.
+    #[must_use]
+    pub fn new(packing: Packing, duration_us: u32) -> Self {
+        let cells_log2 = packing.cells_log2();
+        let fidelity = match packing.transform {
+            // All differences follow from the bins.
+            Transform::Dwt => Fidelity::Bins(packing.grid),
+            Transform::Dct => told_within(cells_log2, duration_us),
+            Transform::Dtft => told_within(cells_log2 + FINER_LOG2, duration_us),
+        };
+        Self {
+            packing,
+            scale: PhaseScale::new(duration_us),
+            cells_log2,
+            cells: Cells::new(fidelity, duration_us),
+        }
+    }
+
+    pub(crate) const fn scale(&self) -> PhaseScale {
+        self.scale
+    }
+
+    pub(crate) const fn cells_log2(&self) -> u32 {
+        self.cells_log2
+    }
+
+    pub(crate) const fn grid(&self) -> usize {
+        self.packing.grid as usize
+    }
+
+    pub(crate) const fn shape(&self) -> Shape {
+        self.packing.shape()
+    }
+
+    /// Cell of an event that tells its pixel.
+    pub(crate) const fn cell(&self, offset_us: u32) -> u32 {
+        self.cells.of(offset_us)
+    }
+
+    /// Numbers that are sent of each coefficient but c_0.
+    pub(super) const fn numbers(&self) -> usize {
+        if self.packing.transform.is_complex() {
+            2
+        } else {
+            1
+        }
+    }
+
+    /// Whether a pixel of `events` may be told by them.
+    pub(super) fn may_tell(&self, events: u32) -> bool {
+        events as usize <= CHUNK_EVENTS && usize::from(self.packing.grid) <= TOLD_GRID_MAX
+    }
+
+    /// Whether an encoder tells it so: what the events take is estimated to be less than what the
+    /// levels do.
+    pub(super) fn tells(&self, events: u32, levels: usize) -> bool {
+        let cell_bits = width_of(self.cells.count() - 1) + 2;
+        let told = events * cell_bits.saturating_sub(width_of(events) - 1);
+        let level_bits = self.packing.level_bits_max(events);
+        let set_bits = if self.packing.transform == Transform::Dct {
+            0
+        } else {
+            u32::from(self.packing.grid)
+        };
+        let direct = levels as u32 * level_bits.saturating_sub(width_of(events) / 2) + set_bits;
+        self.may_tell(events) && 4 * told <= 5 * direct
+    }
+}
+
+/// A pixel: what a frame tells of it.
+#[derive(Debug, Clone)]
+pub struct Pixel {
+    pub(super) x: u16,
+    pub(super) y: u16,
+    pub(super) on: u32,
+    pub(super) off: u32,
+    /// Of a single event.
+    pub(super) cell: u32,
+    /// Whether its events tell it, and these: cell << 1 and the polarity, ascending.
+    pub(super) is_told: bool,
+    pub(super) events: [u32; CHUNK_EVENTS],
+    /// Which coefficients are sent.
+    pub(super) kept: Kept,
+    /// Their levels as the plain payload has them, that of k = 0 left out.
+    pub(super) levels: [i32; 2 * M_MAX],
+    pub(super) levels_len: usize,
+}
+
+impl Pixel {
+    /// All zero, for memory in `.bss`.
+    pub const EMPTY: Self = Self {
+        x: 0,
+        y: 0,
+        on: 0,
+        off: 0,
+        cell: 0,
+        is_told: false,
+        events: [0; CHUNK_EVENTS],
+        kept: Kept::NONE,
+        levels: [0; 2 * M_MAX],
+        levels_len: 0,
+    };
+
+    /// A pixel of a window.
+    pub(crate) fn begin(&mut self, pixel: group::Pixel) {
+        (self.x, self.y) = (pixel.x, pixel.y);
+        (self.on, self.off) = (pixel.on, pixel.off);
+        self.is_told = false;
+        self.levels_len = 0;
+    }
+
+    pub(crate) const fn set_cell(&mut self, cell: u32) {
+        self.cell = cell;
+    }
+
+    /// Whether its events tell it; they are to be inserted then.
+    pub(crate) fn choose(&mut self, common: &Common) -> bool {
+        self.is_told = common.tells(self.count(), self.levels_len);
+        self.is_told
+    }
+
+    /// n.
+    pub(crate) const fn count(&self) -> u32 {
+        self.on + self.off
+    }
+
+    /// Puts an event where its cell belongs: number `at` of the pixel.
+    pub(crate) fn insert(&mut self, at: usize, cell: u32, is_on: bool) {
+        let event = cell << 1 | u32::from(is_on);
+        let Some(events) = self.events.get_mut(..=at) else {
+            return;
+        };
+        let mut at = at;
+        // They nearly always come in order.
+        while at > 0 && events[at - 1] > event {
+            events[at] = events[at - 1];
+            at -= 1;
+        }
+        events[at] = event;
+    }
+
+    /// Which coefficients are sent and their levels, cut to what n events can have.
+    pub(crate) fn set(&mut self, common: &Common, kept: &Kept, levels: &[u32]) {
+        let unused = 32 - common.packing.level_bits_max(self.count());
+        self.kept = *kept;
+        self.levels_len = levels.len().min(self.levels.len());
+        for (to, level) in self.levels.iter_mut().zip(levels) {
+            *to = ((*level << unused) as i32) >> unused;
+        }
+    }
+
+    /// How many levels its set has.
+    pub(super) fn levels_of_set(&self, common: &Common) -> usize {
+        let grid = usize::from(common.packing.grid);
+        let zeroth = usize::from(self.kept.contains(0));
+        (self.kept.count(grid) as usize).saturating_sub(zeroth) * common.numbers()
+    }
+
+    /// As the plain payload has it.
+    #[must_use]
+    pub fn descriptor(&self, common: &Common) -> Descriptor {
+        let packing = &common.packing;
+        let coded = if self.count() == 1 {
+            Coded::Cell(self.cell)
+        } else {
+            let mut levels = Vec::new();
+            let mut left = self.levels.iter().copied();
+            self.kept.for_each(usize::from(packing.grid), |k| {
+                let mut next = || left.next().unwrap_or(0);
+                let (re, im) = match (k, packing.transform) {
+                    (0, _) => (self.on as i32 - self.off as i32, 0),
+                    (_, Transform::Dct) => (next(), 0),
+                    (_, Transform::Dtft) => (next(), next()),
+                    (_, Transform::Dwt) => {
+                        let level = next();
+                        (level.saturating_add(i32::from(level >= 0)), 0)
+                    }
+                };
+                // There are r of them at the most.
+                let _ = levels.push(Level {
+                    k: k as u16,
+                    re,
+                    im,
+                });
+            });
+            Coded::Levels(levels)
+        };
+        Descriptor {
+            x: self.x,
+            y: self.y,
+            on: self.on,
+            off: self.off,
+            coded,
+        }
+    }
+}
