@@ -147,7 +147,7 @@ proptest! {
         batches in proptest::collection::vec(1..400_usize, 1..5),
         damaged in proptest::bool::weighted(0.2), keep_order: bool,
     ) {
-        let keep_order = keep_order && mode != Mode::Transform;
+        let keep_order = keep_order && !mode.is_transform();
         let config = Config { mode, key_windows, keep_order, ..config };
         let sensor = config.window.sensor;
         let limits = Limits { window_events, frame_bytes, ..Limits::default() };

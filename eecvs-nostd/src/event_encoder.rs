@@ -185,6 +185,8 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             row: 0,
             segment: 0,
             left,
+            #[cfg(eecvs_dsp)]
+            is_portable: T::IS_PORTABLE,
             encoder: self,
         };
         let coded = dense.code(&mut coder, &mut content, times);
@@ -227,6 +229,9 @@ struct Pixels<'p, 'e, 'w, 'b> {
     segment: u16,
     /// Events left of the window.
     left: u32,
+    /// [`Trace::IS_PORTABLE`]
+    #[cfg(eecvs_dsp)]
+    is_portable: bool,
 }
 
 impl Pixels<'_, '_, '_, '_> {
@@ -297,7 +302,7 @@ impl Content for Pixels<'_, '_, '_, '_> {
     #[cfg(eecvs_dsp)]
     #[inline(always)]
     fn with_parts<R>(&mut self, walk: impl FnOnce(Parts<'_, '_>) -> R) -> Option<R> {
-        if !self.encoder.times.are_plain() {
+        if self.is_portable || !self.encoder.times.are_plain() {
             return None;
         }
         *self.encoder.is_rest = false;

@@ -52,6 +52,9 @@ impl Stage {
 pub trait Trace {
     /// Whether there is anything to tell it.
     const LISTENS: bool = true;
+    /// Whether code for some targets alone is left out even where it would not miss a change of stage: for
+    /// tests that compare it with the portable one.
+    const IS_PORTABLE: bool = false;
 
     /// What follows, up to the next call, belongs to `stage`.
     fn enter(&mut self, stage: Stage);

@@ -1,7 +1,7 @@
 //! The golden vectors on the target: the same bits as on the host, or the image exits with an
 //! error; and what some targets have code of their own for against what is portable: words taken in
 //! runs against words taken one by one, and the walks of the eight-coefficient DCT, of the Haar
-//! transform on 16 bins and of the fast coder against those that a trace listens to. For QEMU.
+//! transform on 16 bins and of both event coders against those that a trace listens to. For QEMU.
 #![no_std]
 #![no_main]
 
@@ -12,6 +12,8 @@ use cortex_m_semihosting::{debug, hprintln};
 use critical_section::Mutex;
 use eecvs_firmware as _;
 use eecvs_nostd::coder::dense::DenseMemory;
+#[cfg(not(feature = "microbit"))]
+use eecvs_nostd::coder::dense::words;
 #[cfg(not(feature = "microbit"))]
 use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
@@ -42,11 +44,19 @@ const WIDE: (u16, u16) = (2048, 8);
 const SEGMENTS: usize = segments(WIDE.0, WIDE.1);
 type Small = Storage<400, SEGMENTS, { bitmap_words(SEGMENTS) }, 64>;
 
-/// Enough for the vectors' sensor, with the window before.
+/// The sensor of the dense coder's walk: rows and segments enough for all neighbours.
 #[cfg(not(feature = "microbit"))]
-type Dense = (Model, [u32; 128]);
+const TALL: Sensor = Sensor {
+    width: 100,
+    height: 40,
+};
+/// Enough for it and for the vectors' sensor, with the window before.
 #[cfg(not(feature = "microbit"))]
-static DENSE: Mutex<RefCell<Dense>> = Mutex::new(RefCell::new((Model::UNSET, [0; 128])));
+const DENSE_WORDS: usize = words(TALL, true);
+#[cfg(not(feature = "microbit"))]
+type Dense = (Model, [u32; DENSE_WORDS]);
+#[cfg(not(feature = "microbit"))]
+static DENSE: Mutex<RefCell<Dense>> = Mutex::new(RefCell::new((Model::UNSET, [0; DENSE_WORDS])));
 
 static STORAGE: Mutex<RefCell<Small>> = Mutex::new(RefCell::new(Small::new()));
 
@@ -92,6 +102,13 @@ fn main() -> ! {
                     hprintln!("golden: walk {} of {} differs", seed, name);
                     failed += 1;
                 }
+            }
+        }
+        #[cfg(not(feature = "microbit"))]
+        for seed in 0..WALKS {
+            if !dense_walk_holds(seed, &mut storage, &mut dense) {
+                hprintln!("golden: walk {} of dense differs", seed);
+                failed += 1;
             }
         }
         failed == 0 && !GOLDEN.is_empty()
@@ -266,6 +283,8 @@ const WALK_EVENTS: u32 = 3000;
 struct Listener;
 
 impl Trace for Listener {
+    const IS_PORTABLE: bool = true;
+
     fn enter(&mut self, _: Stage) {}
 }
 
@@ -317,6 +336,68 @@ fn walks_hold(seed: u32, (transform, mode): (Transform, u8), storage: &mut Small
     };
     let portable = digest(storage, true);
     portable.is_some_and(|digest| digest.events > 0) && digest(storage, false) == portable
+}
+
+/// Whether the dense coder's walks give the same frames, with the window before and without it: events
+/// far apart, edges of equal times, which rows come to follow, crowded pixels, frames that overflow.
+#[cfg(not(feature = "microbit"))]
+#[inline(never)]
+fn dense_walk_holds(seed: u32, storage: &mut Small, (model, memory): &mut Dense) -> bool {
+    let golden = Golden {
+        width: TALL.width,
+        height: TALL.height,
+        transform: Transform::Dct.name(),
+        m: 8,
+        mode: 2,
+        fidelity: 0,
+        events: &[],
+        frames: &[],
+    };
+    let Some(mut config) = config(&golden) else {
+        return false;
+    };
+    // Times of 6 to 17 bits, of which the walk takes up to 16.
+    config.window.window_us = [32_768, 60, 10_000, 65_536, 500, 65_537][seed as usize % 6];
+    let used = if seed / 2 % 2 == 0 {
+        memory.len()
+    } else {
+        words(TALL, false)
+    };
+    let mut digest = |listens: bool| {
+        let words = memory.get_mut(..used)?;
+        let mut digest = Digest::NONE;
+        let dense = Some(DenseMemory { model, words });
+        let mut encoder = storage.encoder_with(config, dense).ok()?;
+        let mut random = Words::new(seed);
+        for i in 0..WALK_EVENTS {
+            let (x, y) = match seed / 6 % 4 {
+                0 => (random.below(100), random.below(40)),
+                // An edge that moves: a column of equal times, one after the other.
+                1 => (i / 40 % 100, i % 40),
+                2 => (30 + random.below(4), 14 + random.below(4)),
+                _ => (random.below(100), 15 + random.below(3)),
+            };
+            let (step, jitter) = if seed / 6 % 4 == 1 {
+                (i / 40 * 500 + random.below(2), 1)
+            } else {
+                (i * 40, 100)
+            };
+            let event = Event {
+                t_us: u64::from(step + random.below(jitter)),
+                x: x as u16,
+                y: y as u16,
+                polarity: Polarity::from_bool(random.below(4) > seed % 3),
+            };
+            while encoder.push(event) == Push::Closed {
+                digest.take_as(&mut encoder, listens);
+            }
+        }
+        encoder.flush();
+        digest.take_as(&mut encoder, listens);
+        Some(digest)
+    };
+    let portable = digest(true);
+    portable.is_some_and(|digest| digest.events > 0) && digest(false) == portable
 }
 
 /// What is compared of frames.

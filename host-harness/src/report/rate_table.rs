@@ -53,6 +53,16 @@ const TRANSFORMS: [(&str, &str); 3] = [
     ("transform-dwt", "Haar"),
 ];
 
+/// Columns of the table of coefficients by coder: transform, M, what stands above them.
+const CODERS: [(&str, u8, &str); 6] = [
+    ("transform-dct", 8, "DCT, M = 8"),
+    ("transform-dct", 16, "DCT, M = 16"),
+    ("transform-dtft", 8, "DTFT, M = 8"),
+    ("transform-dtft", 16, "DTFT, M = 16"),
+    ("transform-dwt", 8, "Haar, M = 8"),
+    ("transform-dwt", 16, "Haar, M = 16"),
+];
+
 /// What both modes are held to.
 type Distortion = fn(&Row) -> Option<f64>;
 
@@ -206,7 +216,26 @@ pub fn document(rows: &[Row]) -> Option<String> {
     let _ = writeln!(
         text,
         "\nCoefficients take fewer bits in {times} of {all} settings by times, and in {volume} of \
-         {all_volume} by volume.\n\nArrays of whole sensors, bits per event and `volume_nmse`:\n"
+         {all_volume} by volume.\n\nCoefficients by plain codes, by the fast coder and by the dense one, bits \
+         per event:\n"
+    );
+    heading(&mut text, "recording", CODERS.map(|(.., name)| name));
+    for recording in &recordings {
+        let _ = write!(text, "| {recording} |");
+        for (transform, m, _) in CODERS {
+            let setting = format!("M = {m}");
+            let bits = |coder: &str| -> Option<String> {
+                let row = find(rows, recording, &format!("{transform}{coder}"), &setting)?;
+                Some(figure(row.bits_per_event))
+            };
+            let (plain, fast, dense) = (bits("")?, bits("-fast")?, bits("-dense")?);
+            let _ = write!(text, " {plain}, {fast}, {dense} |");
+        }
+        text.push('\n');
+    }
+    let _ = writeln!(
+        text,
+        "\nArrays of whole sensors, bits per event and `volume_nmse`:\n"
     );
     heading(&mut text, "recording", ARRAYS.map(|(.., name)| name));
     for recording in &recordings {
@@ -340,6 +369,17 @@ mod tests {
                     ..row(recording, codec, "M = 4", 5.0, 400.0)
                 });
             }
+            for (transform, m, _) in CODERS {
+                for (coder, bits) in [
+                    ("transform-dct", 9.0),
+                    ("transform-dct-fast", 8.0),
+                    ("transform-dct-dense", 7.0),
+                ] {
+                    let coder = coder.replace("transform-dct", transform);
+                    let setting = format!("M = {m}");
+                    rows.push(row(recording, coder.leak(), &setting, bits, 1e6));
+                }
+            }
             for (codec, setting, _) in ARRAYS {
                 rows.push(row(recording, codec, setting, 12_345.6, 500.0));
             }
@@ -359,7 +399,16 @@ mod tests {
         };
         let of = |a: &str, b: &str| (a.to_owned(), b.to_owned());
         let found: Vec<_> = found.iter().map(settings).collect();
-        assert_eq!(found, [of("M = 2", "40 us"), of("M = 4", "80 us")]);
+        let cheapest = |m: &str| of(m, "80 us");
+        assert_eq!(
+            found,
+            [
+                of("M = 2", "40 us"),
+                cheapest("M = 4"),
+                cheapest("M = 8"),
+                cheapest("M = 16")
+            ]
+        );
         assert_eq!(of_volume(&row("a", "x", "y", 1.0, 3.0)), Some(0.003));
         let better = rows.iter().find(|row| row.setting == "M = 4").unwrap();
         assert_eq!(of_volume(better), Some(0.045));
@@ -371,7 +420,8 @@ mod tests {
         for line in [
             "| a | 10.0 | 11.0 | 12.0 | 13.0 | 14.0 | 15.0 | 16.0 | 17.0 |",
             "| a | DCT | 5.00, M = 4 | 6.00, fast, 80 us | 5.00, M = 4 | 6.00, fast, 80 us |",
-            "Coefficients take fewer bits in 6 of 12 settings by times, and in 6 of 12 by volume.",
+            "Coefficients take fewer bits in 6 of 24 settings by times, and in 6 of 24 by volume.",
+            "| b | 9.00, 8.00, 7.00 | 9.00, 8.00, 7.00 | 9.00, 8.00, 7.00 | 9.00, 8.00, 7.00 | 9.00, 8.00, 7.00 | 9.00, 8.00, 7.00 |",
             "| b | 12,346, 0.500 | 12,346, 0.500 | 12,346, 0.500 | 12,346, 0.500 | 12,346, 0.500 |",
         ] {
             assert!(text.lines().any(|found| found == line), "{line}\n{text}");

@@ -17,7 +17,7 @@ use crate::transform::{M_MAX, Transform};
 pub(super) const TOLD_GRID_MAX: usize = 128;
 /// The cells that tell a pixel of the DTFT, whose levels are twice as many and of higher frequencies, are
 /// so many times finer than a single event's, as a power of two.
-const FINER_LOG2: u32 = 2;
+const FINER_LOG2: u32 = 1;
 
 /// Cells that are half as wide at the most as 2^-`cells_log2` of the window, on either side of their
 /// middle; of a microsecond where they would be of three.
