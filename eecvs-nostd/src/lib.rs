@@ -27,6 +27,7 @@ mod code_tables_dsp;
 pub mod coder;
 #[cfg(feature = "coefficients")]
 mod coefficient_encoder;
+pub mod config;
 pub mod density;
 pub mod descriptor;
 pub mod encoder;
@@ -79,15 +80,14 @@ mod waves_avx2;
 #[cfg(eecvs_dsp)]
 mod waves_dsp;
 pub mod window;
+pub mod window_encoder;
 
 pub use coder::chain::KEY_WINDOWS;
 pub use coder::{Axis, Cells, Coder, Fidelity, Hybrid, Readout, Scans, Times};
+pub use config::{Config, ConfigError, HotError, Scratch, SetupError};
 pub use density::Density;
 pub use descriptor::{Coded, Descriptor};
-pub use encoder::{
-    Config, ConfigError, Encoded, Encoder, HotError, OUTPUT_BYTES_MIN, Scratch, SetupError,
-    WindowEncoder,
-};
+pub use encoder::Encoder;
 pub use event::{Event, Polarity, Sensor};
 pub use filter::{Filter, Region};
 pub use frame::{FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, NoRoom, OrderSection};
@@ -104,3 +104,4 @@ pub use window::{
     Closed, Counts, Head, Push, Slot, Taken, Window, WindowBuffers, WindowConfig, bitmap_words,
     segments,
 };
+pub use window_encoder::{Encoded, OUTPUT_BYTES_MIN, WindowEncoder};

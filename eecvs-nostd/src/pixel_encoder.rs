@@ -1,7 +1,7 @@
 //! One pixel's way from its events to bits: accumulate, prune, quantise, pack.
 
 use crate::bits::BitWriter;
-use crate::encoder::Scratch;
+use crate::config::Scratch;
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
 use crate::group::{Group, Impulses, Pixel};
 use crate::pack::Packer;

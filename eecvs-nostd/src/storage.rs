@@ -1,7 +1,8 @@
 //! Static memory of an encoder.
 
 use crate::coder::dense::DenseMemory;
-use crate::encoder::{Config, Encoder, Scratch, SetupError};
+use crate::config::{Config, Scratch, SetupError};
+use crate::encoder::Encoder;
 use crate::fixed_point::{Sum, WideSum};
 use crate::window::{Head, Slot, WindowBuffers};
 
@@ -89,9 +90,10 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encoder::{ConfigError, WindowEncoder};
+    use crate::config::ConfigError;
     use crate::filter::Filter;
     use crate::window::Window;
+    use crate::window_encoder::WindowEncoder;
     use crate::{
         KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, WindowConfig, bitmap_words, segments,
     };

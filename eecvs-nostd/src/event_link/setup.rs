@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Refusal, TooLong, parse_body, write_body};
 use crate::coder::{Axis, Readout};
-use crate::encoder::Config;
+use crate::config::Config;
 use crate::event::Sensor;
 use crate::filter::{Filter, Region};
 use crate::frame::Mode;
