@@ -172,7 +172,7 @@ fuzz_target!(|data: &[u8]| {
                 region: [0, 0, u16::from(operation / 16), 5],
                 isolated: operation / 16 % 2,
                 bytes_per_second: 0,
-                scan_period_q16: u32::from(operation) << 16,
+                scan_period_q16: u32::from(*operation) << 16,
                 scan_slope_q16: 0,
                 scan_axis: operation / 16 % 4,
                 time_base_us: 0,

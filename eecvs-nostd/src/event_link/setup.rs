@@ -15,7 +15,7 @@ use crate::regime::Thresholds;
 use crate::transform::Transform;
 use crate::window::WindowConfig;
 
-/// What the encoder is set to by a [`Kind::Setup`] packet; postcard writes it.
+/// What the encoder is set to by a [`super::Kind::Setup`] packet; postcard writes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Setup {

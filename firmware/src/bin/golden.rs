@@ -358,7 +358,7 @@ fn dense_walk_holds(seed: u32, storage: &mut Small, (model, memory): &mut Dense)
     };
     // Times of 6 to 17 bits, of which the walk takes up to 16.
     config.window.window_us = [32_768, 60, 10_000, 65_536, 500, 65_537][seed as usize % 6];
-    let used = if seed / 2 % 2 == 0 {
+    let used = if (seed / 2).is_multiple_of(2) {
         memory.len()
     } else {
         words(TALL, false)
