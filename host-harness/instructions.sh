@@ -4,7 +4,7 @@
 #
 #            prints the table
 #   --save   also takes the counts over into host-harness/instructions.json, which is committed
-#   --check  compares with those and fails where a case has grown by over 5 %; status 77 where they
+#   --check  compares with those and fails where a case has grown by over 10 %; status 77 where they
 #            are of another compiler or target, and do not compare
 #
 # The counts are the same in every run, and on every x86-64 processor.
