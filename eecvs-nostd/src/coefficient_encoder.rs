@@ -98,8 +98,6 @@ impl CoefficientEncoder<'_, '_> {
         let left = self.left;
         let (told, learned) = memory.parts();
         let mut content = Counted::<B> {
-            row: 0,
-            segment: 0,
             pixel: None,
             told,
             on: false,
@@ -203,15 +201,7 @@ struct Counted<'c, 'e, 'b, B> {
     /// Levels that saturated, and those of the pixel at hand.
     saturated: u32,
     saturates: u32,
-    row: u16,
-    segment: u16,
     basis: core::marker::PhantomData<B>,
-}
-
-impl<B> Counted<'_, '_, '_, B> {
-    fn next_position(&mut self) -> Option<(u16, u16)> {
-        self.encoder.group.peek(self.encoder.window)
-    }
 }
 
 impl<B: Basis> Pixels for Counted<'_, '_, '_, B> {
@@ -232,15 +222,13 @@ impl<B: Basis> Pixels for Counted<'_, '_, '_, B> {
 
 impl<B: Basis> Content for Counted<'_, '_, '_, B> {
     fn has_row(&mut self, y: u16) -> bool {
-        self.row = y;
-        self.next_position().is_some_and(|(_, row)| row == y)
+        let CoefficientEncoder { group, window, .. } = &mut *self.encoder;
+        group.is_next_in_row(window, y)
     }
 
-    fn has_segment(&mut self, segment: u16) -> bool {
-        self.segment = segment;
-        let row = self.row;
-        self.next_position()
-            .is_some_and(|(x, y)| (x / 32, y) == (segment, row))
+    fn has_segment(&mut self, segment: u16, y: u16) -> bool {
+        let CoefficientEncoder { group, window, .. } = &mut *self.encoder;
+        group.is_next_in_segment(window, (segment, y))
     }
 
     fn columns(&mut self) -> u32 {

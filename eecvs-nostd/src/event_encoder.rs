@@ -182,8 +182,6 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             at: 0,
             slot: Slot::EMPTY,
             rest: 0,
-            row: 0,
-            segment: 0,
             left,
             #[cfg(eecvs_dsp)]
             is_portable: T::IS_PORTABLE,
@@ -225,8 +223,6 @@ struct Pixels<'p, 'e, 'w, 'b> {
     at: u32,
     slot: Slot,
     rest: u32,
-    row: u16,
-    segment: u16,
     /// Events left of the window.
     left: u32,
     /// [`Trace::IS_PORTABLE`]
@@ -235,11 +231,6 @@ struct Pixels<'p, 'e, 'w, 'b> {
 }
 
 impl Pixels<'_, '_, '_, '_> {
-    fn next_position(&mut self) -> Option<(u16, u16)> {
-        let EventEncoder { group, window, .. } = &mut *self.encoder;
-        group.peek(window)
-    }
-
     #[inline(always)]
     fn go_to(&mut self, at: u32) {
         let slots = self.encoder.window.slots_now();
@@ -250,15 +241,13 @@ impl Pixels<'_, '_, '_, '_> {
 
 impl Content for Pixels<'_, '_, '_, '_> {
     fn has_row(&mut self, y: u16) -> bool {
-        self.row = y;
-        self.next_position().is_some_and(|(_, row)| row == y)
+        let EventEncoder { group, window, .. } = &mut *self.encoder;
+        group.is_next_in_row(window, y)
     }
 
-    fn has_segment(&mut self, segment: u16) -> bool {
-        self.segment = segment;
-        let row = self.row;
-        self.next_position()
-            .is_some_and(|(x, y)| (x / 32, y) == (segment, row))
+    fn has_segment(&mut self, segment: u16, y: u16) -> bool {
+        let EventEncoder { group, window, .. } = &mut *self.encoder;
+        group.is_next_in_segment(window, (segment, y))
     }
 
     fn columns(&mut self) -> u32 {

@@ -147,6 +147,21 @@ impl Group {
         Some((self.segment_x + column, self.segment_y))
     }
 
+    /// Whether the next pixel is in row `y`.
+    pub(crate) fn is_next_in_row(&mut self, window: &mut Window<'_>, y: u16) -> bool {
+        self.peek(window).is_some_and(|(_, row)| row == y)
+    }
+
+    /// Whether the next pixel is in a segment of row `y`.
+    pub(crate) fn is_next_in_segment(
+        &mut self,
+        window: &mut Window<'_>,
+        (segment, y): (u16, u16),
+    ) -> bool {
+        let next = self.peek(window);
+        next.is_some_and(|(x, row)| (x / SEGMENT_PIXELS, row) == (segment, y))
+    }
+
     /// Makes the pixel that [`Self::next`] gave last the next one again.
     pub const fn put_back(&mut self, pixel: Pixel) {
         let i = (pixel.x % SEGMENT_PIXELS) as usize;

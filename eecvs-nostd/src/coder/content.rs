@@ -20,7 +20,7 @@ pub trait Content {
     /// Whether row y has pixels with events that are not coded yet.
     fn has_row(&mut self, y: u16) -> bool;
     /// Whether a segment of 32 columns of that row has.
-    fn has_segment(&mut self, segment: u16) -> bool;
+    fn has_segment(&mut self, segment: u16, y: u16) -> bool;
     /// Which columns of that segment have: bit i is column i's. It has been found to have some.
     fn columns(&mut self) -> u32;
     /// Goes to the pixel found; returns what [`Self::at`] will know its first event by.

@@ -16,7 +16,7 @@ use super::dense_dsp;
 pub(crate) use super::dense_times::EVENT_BYTES_MAX;
 use super::dense_times::{Clock, CodedPixel, Following, Neighbour, Times as LearnedTimes};
 #[cfg(eecvs_dsp)]
-use super::dense_walk_dsp::Walk;
+use super::dense_walk_state_dsp::Walk;
 use super::model::Model;
 use super::neighbourhood::Around;
 use super::range::Binary;
@@ -267,7 +267,7 @@ impl<'b> Dense<'b> {
             let (from, mut made) = begun.take().unwrap_or_default();
             if is_begun || {
                 let flag = &mut self.model.segments[around.segment_context()];
-                coder.bit(flag, content.has_segment(segment as u16))
+                coder.bit(flag, content.has_segment(segment as u16, y as u16))
             } {
                 let (place, made) = ((segment, y, following), (from, &mut made));
                 goes_on = self.code_segment(coder, content, place, &around, made, frame);
@@ -631,13 +631,12 @@ mod tests {
 
     impl Content for Listed {
         fn has_row(&mut self, y: u16) -> bool {
-            self.place.1 = y;
             self.pixels
                 .get(self.at.0)
                 .is_some_and(|pixel| pixel.0.1 == y)
         }
-        fn has_segment(&mut self, segment: u16) -> bool {
-            self.place.0 = segment;
+        fn has_segment(&mut self, segment: u16, y: u16) -> bool {
+            self.place = (segment, y);
             self.pixels
                 .get(self.at.0)
                 .is_some_and(|pixel| (pixel.0.0 / 32, pixel.0.1) == self.place)

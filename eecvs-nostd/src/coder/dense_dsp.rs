@@ -12,9 +12,8 @@ use core::cell::Cell;
 
 use super::content::{Content, Node};
 use super::dense_times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, Neighbour, Times};
-use super::dense_walk_dsp::{
-    DONE, FLAG, FULL, LEFT, OVER, ROW, Walk, decide, walk_row, walk_row_after,
-};
+use super::dense_walk_dsp::{DONE, FLAG, FULL, LEFT, OVER, ROW, decide, walk_row, walk_row_after};
+use super::dense_walk_state_dsp::Walk;
 use super::model::Model;
 use super::range::{
     Binary, FINISH_BYTES, PLAIN_BITS, Probability, RANGE_MIN, RangeParts, SCALE, carry,
@@ -346,7 +345,7 @@ impl Content for Events<'_> {
         false
     }
 
-    fn has_segment(&mut self, _segment: u16) -> bool {
+    fn has_segment(&mut self, _segment: u16, _y: u16) -> bool {
         false
     }
 

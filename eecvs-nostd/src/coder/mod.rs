@@ -16,6 +16,8 @@ pub(crate) mod dense_dsp;
 mod dense_times;
 #[cfg(eecvs_dsp)]
 mod dense_walk_dsp;
+#[cfg(eecvs_dsp)]
+mod dense_walk_state_dsp;
 pub mod fast;
 pub mod model;
 mod neighbourhood;

@@ -176,7 +176,7 @@ impl Content for Found<'_> {
         false
     }
 
-    fn has_segment(&mut self, _: u16) -> bool {
+    fn has_segment(&mut self, _segment: u16, _y: u16) -> bool {
         false
     }
 

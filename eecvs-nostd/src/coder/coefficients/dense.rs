@@ -373,7 +373,7 @@ impl<E> Content for Found<'_, E> {
         false
     }
 
-    fn has_segment(&mut self, _: u16) -> bool {
+    fn has_segment(&mut self, _segment: u16, _y: u16) -> bool {
         false
     }
 
