@@ -1,12 +1,17 @@
-//! USB side of EECVS: which event cameras there are, and where their streams go.
+//! The USB link of event cameras and of the encoder's own microcontroller: capture, forward, simulate.
 //!
-//! What is here: [`known`], the table of the cameras' USB identities. What is not here yet: device
-//! models, links over libusb, serial and TCP, capture and forwarding. They follow the data flow of
-//! the project:
+//! The files follow the bytes:
 //!
 //! ```text
-//! camera -> link (USB) -> device model (bytes to events) -> encoder -> frames -> sinks
-//! MCU    -> link (USB or serial) -------------------------------------^
+//! camera or MCU -> link -> device (bytes to events) -> encoder -> frames -> consumers
+//! recording -> device (events to bytes) -> peripheral -> link -> ...        (a simulated camera)
 //! ```
+//!
+//! [`device`] has what is known of each model: how it is found, started and stopped, how its stream
+//! is read, and how it is written, which makes a simulated camera of any recording. [`link`] moves
+//! bytes: over libusb, a serial port, TCP, or inside the process, with faults and traces around any
+//! of them. [`peripheral`] is the other end of a USB cable, for devices that are only simulated.
 
-pub mod known;
+pub mod device;
+pub mod link;
+pub mod peripheral;
