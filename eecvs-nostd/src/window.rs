@@ -547,6 +547,21 @@ impl<'b> Window<'b> {
         }
     }
 
+    /// Closes the window where it holds events and its time has run at `now_us`, before which no
+    /// event will come any more: a live sensor that sees nothing does not hold its last events back.
+    /// The next window goes on along the grid.
+    pub fn pass(&mut self, now_us: u64) {
+        let window_us = u64::from(self.config.window_us);
+        if let Some(start_us) = self.start_us
+            && self.closed.is_none()
+            && self.len > 0
+            && now_us.saturating_sub(start_us) >= window_us
+        {
+            let next_start_us = start_us.saturating_add(window_us);
+            self.close(self.config.window_us, false, Some(next_start_us));
+        }
+    }
+
     /// Start of the window after this one, or of this one while it is open; `None` where the next
     /// event will be the start.
     #[must_use]

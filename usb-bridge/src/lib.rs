@@ -12,6 +12,12 @@
 //! bytes: over libusb, a serial port, TCP, or inside the process, with faults and traces around any
 //! of them. [`peripheral`] is the other end of a USB cable, for devices that are only simulated.
 
+pub mod clock;
 pub mod device;
+pub mod forward;
 pub mod link;
+pub mod live;
 pub mod peripheral;
+pub mod pump;
+pub mod queue;
+pub mod stop;

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use eecvs_nostd::{Event, Push, Window};
 
-use crate::formats::EventReader;
+use crate::formats::{EventReader, Pause};
 
 /// Where events come from.
 pub trait Batches {
@@ -14,6 +14,11 @@ pub trait Batches {
     /// # Errors
     /// As [`EventReader::read`].
     fn next(&mut self, events: &mut Vec<Event>) -> Result<()>;
+
+    /// What it means that there were none.
+    fn pause(&self) -> Pause {
+        Pause::Ended
+    }
 }
 
 /// Reads when events are needed.
@@ -24,6 +29,10 @@ impl Batches for Direct<'_> {
         events.clear();
         self.0.read(events)?;
         Ok(())
+    }
+
+    fn pause(&self) -> Pause {
+        self.0.pause()
     }
 }
 
@@ -78,11 +87,23 @@ impl<B: Batches> Cutter<B> {
             }
             let read = self.batches.next(&mut self.events);
             self.used = 0;
-            self.ended = read.is_err() || self.events.is_empty();
+            let pause = match &read {
+                Ok(()) if !self.events.is_empty() => None,
+                Ok(()) => Some(self.batches.pause()),
+                Err(_) => Some(Pause::Ended),
+            };
+            self.ended = pause == Some(Pause::Ended);
             read?;
             self.events_in += self.events.len() as u64;
-            if self.ended {
-                window.flush();
+            match pause {
+                None => {}
+                Some(Pause::Ended) => window.flush(),
+                Some(Pause::Until(now_us)) => {
+                    window.pass(now_us);
+                    if window.closed().is_some() {
+                        break;
+                    }
+                }
             }
         }
         self.start_us = window.next_start_us();

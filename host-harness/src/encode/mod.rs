@@ -15,7 +15,7 @@ use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::{Header, OUTPUT_BYTES_MIN, Transform};
 use serde::Serialize;
 
-use crate::formats::EventReader;
+use crate::formats::{EventReader, Pause};
 pub use codec::Codec;
 use cutter::{Cutter, Direct};
 pub use storage::HostStorage;
@@ -151,8 +151,9 @@ type Outcome = (EncodeSummary, Duration);
 
 /// Encodes a recording; `progress` gets the events read so far.
 ///
-/// The frames do not depend on `threads`; with a budget of bytes there is one. With one thread all happens on the caller's; with more,
-/// another one reads ahead and the caller's writes. Memory does not grow with the recording: each
+/// The frames do not depend on `threads`; with a budget of bytes, and of a live source, there is one.
+/// With one thread all happens on the caller's; with more, another one reads ahead and the caller's
+/// writes. A live source's window is written as soon as its time has run, also where no event follows. Memory does not grow with the recording: each
 /// thread holds at most 8 windows' buffers and some frames.
 ///
 /// # Errors
@@ -172,10 +173,13 @@ pub fn encode<'h>(
         "a frame needs room for at least {OUTPUT_BYTES_MIN} bytes"
     );
     let started = Instant::now();
-    // What a window may take follows from those before it.
-    let threads = match codec.config.bytes_per_second {
-        Some(_) => NonZeroUsize::MIN,
-        None => threads,
+    // What a window may take follows from those before it; and a live source's windows are not to
+    // wait for others.
+    let is_live = reader.pause() != Pause::Ended;
+    let threads = if is_live || codec.config.bytes_per_second.is_some() {
+        NonZeroUsize::MIN
+    } else {
+        threads
     };
     let run = if threads == NonZeroUsize::MIN {
         encode_here(reader, codec, limits, out, progress)

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use eecvs_nostd::{Event, Sensor};
 
-use super::{BATCH_EVENTS, EventReader, Skipped};
+use super::{BATCH_EVENTS, EventReader, Pause, Skipped};
 
 /// A reader that has read ahead; what was read comes again.
 pub struct Ahead {
@@ -22,6 +22,7 @@ impl Ahead {
         let mut failure = None;
         while ahead.len() < events {
             match reader.read(&mut ahead) {
+                // A live source that sees nothing is not waited for.
                 Ok(0) => break,
                 Ok(_) => {}
                 Err(error) => {
@@ -71,6 +72,10 @@ impl EventReader for Ahead {
             Some(error) => Err(error),
             None => self.reader.read(events),
         }
+    }
+
+    fn pause(&self) -> Pause {
+        self.reader.pause()
     }
 
     fn skipped(&self) -> &Skipped {

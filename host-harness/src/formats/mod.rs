@@ -92,8 +92,22 @@ pub trait EventReader: Send {
     /// A damaged or truncated file: the message names the file, the offset and what to do.
     fn read(&mut self, events: &mut Vec<Event>) -> anyhow::Result<usize>;
 
+    /// What it means that [`EventReader::read`] gave no events: the end, but for a live source.
+    fn pause(&self) -> Pause {
+        Pause::Ended
+    }
+
     /// Non-event items met so far.
     fn skipped(&self) -> &Skipped;
+}
+
+/// Why a reader gave no events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pause {
+    /// There are no more.
+    Ended,
+    /// A live source has none yet: all those before this time, in microseconds, have been given.
+    Until(u64),
 }
 
 /// A recording being written.

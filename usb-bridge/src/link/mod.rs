@@ -4,6 +4,7 @@
 //! stand around any of them and are links themselves.
 
 pub mod control;
+pub mod listen;
 
 use std::time::{Duration, Instant};
 

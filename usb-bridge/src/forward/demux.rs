@@ -1,0 +1,214 @@
+//! Frames and packets out of a stream of bytes that may be damaged.
+
+use eecvs_nostd::frame::SYNC as FRAME_SYNC;
+use eecvs_nostd::{FRAME_BYTES_MAX, Frame, Scan, scan};
+
+use super::packet::{self, Look, PACKET_BYTES_MAX, Packet};
+
+/// Longest message.
+const MESSAGE_BYTES_MAX: usize = if FRAME_BYTES_MAX > PACKET_BYTES_MAX {
+    FRAME_BYTES_MAX
+} else {
+    PACKET_BYTES_MAX
+};
+
+/// A message of a stream.
+#[derive(Debug, Clone, Copy)]
+pub enum Message<'b> {
+    /// A frame of the encoder.
+    Frame(Frame<'b>),
+    /// A packet of raw events.
+    Packet(Packet<'b>),
+}
+
+/// Takes messages apart; memory is bounded by the longest message and what comes at a time.
+#[derive(Debug, Default)]
+pub struct Demux {
+    buffer: Vec<u8>,
+    used: usize,
+    damaged_bytes: u64,
+}
+
+impl Demux {
+    /// Takes received bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.buffer.drain(..self.used);
+        self.used = 0;
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// Bytes that belonged to no message.
+    #[must_use]
+    pub const fn damaged_bytes(&self) -> u64 {
+        self.damaged_bytes
+    }
+
+    /// The stream does not go on where it was: a message that has begun will not be completed, but
+    /// others may lie inside of what came of it.
+    pub fn interrupt(&mut self) {
+        while self.used < self.buffer.len() {
+            if self.next_at().is_none() {
+                self.skip();
+            } else {
+                return;
+            }
+        }
+    }
+
+    /// No more comes: what is left belongs to no message.
+    pub fn finish(&mut self) {
+        self.damaged_bytes += (self.buffer.len() - self.used) as u64;
+        self.used = self.buffer.len();
+    }
+
+    fn skip(&mut self) {
+        let rest = self.buffer.get(self.used..).unwrap_or_default();
+        let skip = next_sync(rest);
+        self.damaged_bytes += skip as u64;
+        self.used += skip;
+    }
+
+    /// The bytes of the next whole message; damage before it is skipped.
+    fn next_at(&mut self) -> Option<usize> {
+        loop {
+            let rest = self.buffer.get(self.used..).unwrap_or_default();
+            if rest.is_empty() {
+                return None;
+            }
+            match Packet::look(rest) {
+                Look::Packet(_, bytes) => return Some(bytes),
+                Look::Incomplete if rest.len() < PACKET_BYTES_MAX && rest.len() > 1 => return None,
+                Look::Incomplete | Look::Damage => {}
+            }
+            match scan(rest) {
+                Scan::Frame(frame) => return Some(frame.bytes),
+                Scan::Incomplete if rest.len() < MESSAGE_BYTES_MAX => return None,
+                Scan::Incomplete | Scan::Damage { .. } => self.skip(),
+            }
+        }
+    }
+
+    /// The next whole message.
+    pub fn next_message(&mut self) -> Option<Message<'_>> {
+        let bytes = self.next_at()?;
+        let rest = self.buffer.get(self.used..).unwrap_or_default();
+        let message = match Packet::look(rest) {
+            Look::Packet(packet, _) => Message::Packet(packet),
+            _ => match scan(rest) {
+                Scan::Frame(frame) => Message::Frame(frame),
+                _ => return None,
+            },
+        };
+        self.used += bytes;
+        Some(message)
+    }
+
+    /// The bytes of the message that came last.
+    #[must_use]
+    pub fn last(&self, bytes: usize) -> &[u8] {
+        self.buffer
+            .get(self.used.saturating_sub(bytes)..self.used)
+            .unwrap_or_default()
+    }
+}
+
+/// Distance to the next place, not the first, where a message may begin.
+fn next_sync(bytes: &[u8]) -> usize {
+    let begins = |at: &usize| {
+        let [first, second] = FRAME_SYNC;
+        bytes.get(*at) == Some(&first)
+            && bytes
+                .get(*at + 1)
+                .is_none_or(|byte| *byte == second || *byte == packet::SYNC[1])
+    };
+    (1..bytes.len()).find(begins).unwrap_or(bytes.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eecvs_nostd::Sensor;
+    use proptest::prelude::*;
+
+    fn packet(sequence: u32, words: &[u8]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        Packet {
+            encoding: "evk4",
+            sensor: Sensor::new(4, 4).unwrap(),
+            sequence,
+            time_base_us: None,
+            after_loss: false,
+            events: 0,
+            words,
+        }
+        .write(&mut bytes);
+        bytes
+    }
+
+    fn sequences(demux: &mut Demux) -> Vec<u32> {
+        let mut sequences = Vec::new();
+        while let Some(message) = demux.next_message() {
+            if let Message::Packet(packet) = message {
+                sequences.push(packet.sequence);
+            }
+        }
+        sequences
+    }
+
+    proptest! {
+        /// However it is cut, whatever lies between, whole packets come and the rest is counted.
+        #[test]
+        fn whole_messages_come_and_every_other_byte_is_counted(
+            parts in proptest::collection::vec(
+                (any::<bool>(), proptest::collection::vec(any::<u8>(), 0..40)), 1..12),
+            cut in 1..50_usize,
+        ) {
+            let mut stream = Vec::new();
+            let (mut expected, mut noise) = (Vec::new(), 0);
+            for (i, (is_packet, bytes)) in parts.iter().enumerate() {
+                if *is_packet {
+                    stream.extend(packet(i as u32, bytes));
+                    expected.push(i as u32);
+                } else {
+                    // Not a beginning of a message.
+                    let bytes: Vec<u8> = bytes.iter().map(|byte| byte & 0x7F).collect();
+                    noise += bytes.len() as u64;
+                    stream.extend(bytes);
+                }
+            }
+            let mut demux = Demux::default();
+            let mut met = Vec::new();
+            for part in stream.chunks(cut) {
+                demux.push(part);
+                met.extend(sequences(&mut demux));
+            }
+            demux.finish();
+            prop_assert_eq!(met, expected);
+            prop_assert_eq!(demux.damaged_bytes(), noise);
+        }
+
+        #[test]
+        fn any_bytes_are_survived(bytes in proptest::collection::vec(
+            prop_oneof![any::<u8>(), Just(0xEE), Just(0xC5), Just(0xC7), Just(1)], 0..400)) {
+            let mut demux = Demux::default();
+            demux.push(&bytes);
+            while demux.next_message().is_some() {}
+            demux.interrupt();
+            while demux.next_message().is_some() {}
+            demux.finish();
+            prop_assert!(demux.damaged_bytes() <= bytes.len() as u64);
+        }
+    }
+
+    #[test]
+    fn a_message_inside_of_one_that_was_cut_is_found() {
+        let (first, second) = (packet(1, &[0; 100]), packet(2, &[9; 10]));
+        let mut demux = Demux::default();
+        demux.push(&first[..60]);
+        assert!(sequences(&mut demux).is_empty());
+        demux.interrupt();
+        demux.push(&second);
+        assert_eq!(sequences(&mut demux), [2]);
+        assert_eq!(demux.damaged_bytes(), 60);
+    }
+}

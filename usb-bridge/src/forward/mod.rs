@@ -1,0 +1,13 @@
+//! From one stream to many consumers, none of which holds up the others or the camera.
+//!
+//! ```text
+//! frames or raw packets -> fan_out -> a queue per consumer -> sink (tcp, udp, unix, file, stdout)
+//! ```
+
+pub mod address;
+pub mod consumer;
+pub mod datagram;
+pub mod demux;
+pub mod fan_out;
+pub mod packet;
+pub mod sink;

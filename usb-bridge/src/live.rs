@@ -1,0 +1,384 @@
+//! Events of a link as they come: what every command of the project reads recordings with reads a
+//! camera with.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use eecvs_nostd::{Event, Sensor};
+use host_harness::formats::{BATCH_EVENTS, EventReader, Pause, Skipped};
+
+use crate::clock::{Clock, Relation};
+use crate::device::{EVENTS_PER_BYTE_MAX, Parse};
+use crate::pump::{Chunk, Pumped};
+use crate::queue::Taken;
+
+/// Longest time without a word on how far the stream is.
+const WAIT: Duration = Duration::from_millis(20);
+/// How often those who watch are told.
+const TELL: Duration = Duration::from_millis(50);
+/// Bytes that are parsed in a go: their events are a batch at the most.
+const PARSE_BYTES: usize = BATCH_EVENTS / EVENTS_PER_BYTE_MAX;
+
+/// What is known of a live stream at any time, for those who watch it.
+#[derive(Debug, Clone, Default)]
+pub struct Progress {
+    /// Events so far.
+    pub events: u64,
+    /// Time of the stream so far, in the device's microseconds.
+    pub time_us: Option<u64>,
+    /// Words that are no events, by name.
+    pub words: Skipped,
+    /// What the parser found lost or left out, by cause.
+    pub losses: Skipped,
+    /// The clocks' relation.
+    pub relation: Option<Relation>,
+}
+
+/// Reader of a link's events.
+pub struct LiveReader {
+    format: &'static str,
+    camera: String,
+    pumped: Arc<Pumped>,
+    parser: Box<dyn Parse>,
+    clock: Clock,
+    chunk: Option<Chunk>,
+    /// Bytes of the chunk that are parsed.
+    used: usize,
+    ended: bool,
+    words: Skipped,
+    progress: Arc<Mutex<Progress>>,
+    told: Option<Instant>,
+}
+
+impl LiveReader {
+    /// Of a link that is pumped already; `camera` is what files name it.
+    #[must_use]
+    pub fn new(
+        format: &'static str,
+        camera: String,
+        pumped: Arc<Pumped>,
+        parser: Box<dyn Parse>,
+    ) -> Self {
+        Self {
+            format,
+            camera,
+            pumped,
+            parser,
+            clock: Clock::default(),
+            chunk: None,
+            used: 0,
+            ended: false,
+            words: Skipped::default(),
+            progress: Arc::default(),
+            told: None,
+        }
+    }
+
+    /// What watches it: brought up to date some twenty times a second, and at the end.
+    #[must_use]
+    pub fn progress(&self) -> Arc<Mutex<Progress>> {
+        Arc::clone(&self.progress)
+    }
+
+    fn tell(&mut self) {
+        self.words = self.parser.words();
+        let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        *progress = Progress {
+            events: self.parser.events(),
+            time_us: self.parser.time_us(),
+            words: self.words.clone(),
+            losses: self.parser.losses(),
+            relation: self.clock.relation(),
+        };
+    }
+
+    /// The chunk that is read now, where there is one in time.
+    fn next_chunk(&mut self) -> Option<Chunk> {
+        match self.pumped.queue.take(WAIT) {
+            Taken::Item(chunk) => {
+                if chunk.after_loss {
+                    self.parser.resume(self.clock.device_us(chunk.at));
+                }
+                self.used = 0;
+                Some(chunk)
+            }
+            Taken::Nothing => None,
+            Taken::Closed => {
+                self.ended = true;
+                None
+            }
+        }
+    }
+}
+
+impl EventReader for LiveReader {
+    fn format(&self) -> &'static str {
+        self.format
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.parser.sensor()
+    }
+
+    fn camera(&self) -> Option<&str> {
+        Some(&self.camera)
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        let before = events.len();
+        loop {
+            let chunk = match self.chunk.take() {
+                Some(chunk) => chunk,
+                None => match self.next_chunk() {
+                    Some(chunk) => chunk,
+                    None if self.ended => {
+                        self.tell();
+                        return match self.pumped.failure() {
+                            Some(failure) => Err(failure.into()),
+                            None => Ok(0),
+                        };
+                    }
+                    None => return Ok(0),
+                },
+            };
+            let rest = chunk.bytes.get(self.used..).unwrap_or_default();
+            let part = &rest[..rest.len().min(PARSE_BYTES)];
+            self.parser.parse(part, events);
+            self.used += part.len();
+            if part.len() < rest.len() {
+                self.chunk = Some(chunk);
+            } else {
+                if let Some(time_us) = self.parser.time_us() {
+                    self.clock.note(chunk.at, time_us);
+                }
+                self.pumped.reuse(chunk.bytes);
+                if self.told.is_none_or(|told| told.elapsed() > TELL) {
+                    self.tell();
+                    self.told = Some(Instant::now());
+                }
+            }
+            if events.len() > before {
+                return Ok(events.len() - before);
+            }
+        }
+    }
+
+    fn pause(&self) -> Pause {
+        if self.ended {
+            return Pause::Ended;
+        }
+        Pause::Until(self.parser.time_us().unwrap_or(0))
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.words
+    }
+}
+
+/// Bytes that arrived and transfers they came in, for the reports.
+#[must_use]
+pub fn arrived(pumped: &Pumped) -> (u64, u64) {
+    let load = |count: &std::sync::atomic::AtomicU64| count.load(Ordering::Relaxed);
+    (load(&pumped.account.bytes), load(&pumped.account.transfers))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{self, Write};
+    use std::num::NonZeroUsize;
+    use std::sync::atomic::AtomicUsize;
+
+    use clap::Parser;
+    use eecvs_nostd::{Polarity, Scan, scan};
+    use host_harness::cmd::encode::CodecOptions;
+    use host_harness::encode::{Limits, encode};
+
+    use crate::link::{Link, LinkError, Loss, Received};
+    use crate::pump;
+
+    const SENSOR: Sensor = Sensor {
+        width: 8,
+        height: 8,
+    };
+    const WINDOW_US: u32 = 1000;
+
+    #[derive(Parser)]
+    struct Options {
+        #[command(flatten)]
+        codec: CodecOptions,
+    }
+
+    /// A byte b < 200 is an event after b microseconds, 255 a whole window without one.
+    struct Steps {
+        time_us: u64,
+        events: u64,
+        resumed: u64,
+    }
+
+    impl Parse for Steps {
+        fn sensor(&self) -> Sensor {
+            SENSOR
+        }
+
+        fn parse(&mut self, bytes: &[u8], events: &mut Vec<Event>) {
+            for byte in bytes {
+                if *byte == 255 {
+                    self.time_us += u64::from(WINDOW_US);
+                    continue;
+                }
+                self.time_us += u64::from(*byte);
+                self.events += 1;
+                events.push(Event {
+                    t_us: self.time_us,
+                    x: 1,
+                    y: u16::from(byte % 8),
+                    polarity: Polarity::On,
+                });
+            }
+        }
+
+        fn resume(&mut self, _: Option<u64>) {
+            self.resumed += 1;
+        }
+
+        fn time_us(&self) -> Option<u64> {
+            Some(self.time_us)
+        }
+
+        fn events(&self) -> u64 {
+            self.events
+        }
+
+        fn words(&self) -> Skipped {
+            Skipped::default()
+        }
+
+        fn losses(&self) -> Skipped {
+            let mut losses = Skipped::default();
+            losses.add("resumed", self.resumed);
+            losses
+        }
+    }
+
+    fn reader(link: Box<dyn Link>) -> LiveReader {
+        let (pumped, _) = pump::start(link, 1 << 16).unwrap();
+        let parser = Steps {
+            time_us: 0,
+            events: 0,
+            resumed: 0,
+        };
+        LiveReader::new("steps", "test".to_owned(), pumped, Box::new(parser))
+    }
+
+    /// Sends nothing after a quiet window until a frame has been written.
+    struct Patient {
+        step: usize,
+        frames: Arc<AtomicUsize>,
+    }
+
+    impl Link for Patient {
+        fn name(&self) -> &str {
+            "patient"
+        }
+
+        fn receive(&mut self, _: Duration) -> Result<Received<'_>, LinkError> {
+            self.step += 1;
+            let at = Instant::now();
+            Ok(match self.step {
+                1 => Received::Bytes {
+                    bytes: &[5, 6, 7],
+                    at,
+                },
+                2 => Received::Bytes { bytes: &[255], at },
+                3 => {
+                    while self.frames.load(Ordering::Relaxed) == 0 {
+                        if at.elapsed() > Duration::from_secs(20) {
+                            return Err(LinkError::Failed {
+                                link: "patient".to_owned(),
+                                cause: "no frame came".to_owned(),
+                            });
+                        }
+                        std::thread::sleep(Duration::from_millis(1));
+                    }
+                    Received::Bytes { bytes: &[8], at }
+                }
+                _ => Received::Ended,
+            })
+        }
+
+        fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
+            Ok(())
+        }
+    }
+
+    struct Frames(Arc<AtomicUsize>, Vec<u8>);
+
+    impl Write for Frames {
+        fn write(&mut self, frame: &[u8]) -> io::Result<usize> {
+            self.0.fetch_add(1, Ordering::Relaxed);
+            self.1.extend_from_slice(frame);
+            Ok(frame.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_window_is_written_when_its_time_has_run_though_nothing_follows() {
+        let frames = Arc::new(AtomicUsize::new(0));
+        let mut out = Frames(Arc::clone(&frames), Vec::new());
+        let mut reader = reader(Box::new(Patient { step: 0, frames }));
+        let options = Options::parse_from(["encode", "--window-us", "1000"]);
+        let config = options.codec.config(SENSOR).unwrap();
+        let summary = encode(
+            &mut reader,
+            config,
+            Limits::default(),
+            NonZeroUsize::MIN,
+            &mut out,
+            &mut |_| {},
+        )
+        .unwrap();
+        assert_eq!((summary.events_encoded, summary.frames), (4, 2));
+        let mut rest = &out.1[..];
+        let mut starts = Vec::new();
+        while let Scan::Frame(frame) = scan(rest) {
+            starts.push((frame.header.t0_us, frame.header.events));
+            rest = &rest[frame.bytes..];
+        }
+        // The grid goes on through the pause.
+        assert_eq!(starts, [(5, 3), (1005, 1)]);
+    }
+
+    #[test]
+    fn losses_reach_the_parser_and_the_failure_comes_after_the_events() {
+        use crate::pump::tests::{Scripted, Step};
+        let link = Scripted::link([
+            Step::Bytes(vec![1; 5000]),
+            Step::Lost(Loss::Damaged),
+            Step::Bytes(vec![2; 10]),
+            Step::Unplug,
+        ]);
+        let mut reader = reader(link);
+        let progress = reader.progress();
+        let mut events = Vec::new();
+        assert_eq!(reader.pause(), Pause::Until(0));
+        let error = loop {
+            match reader.read(&mut events) {
+                Ok(read) => assert!(read <= BATCH_EVENTS),
+                Err(error) => break error,
+            }
+        };
+        assert_eq!(events.len(), 5010);
+        assert!(error.to_string().contains("unplugged"), "{error}");
+        assert_eq!(reader.pause(), Pause::Ended);
+        let progress = progress.lock().unwrap().clone();
+        assert_eq!(progress.events, 5010);
+        assert_eq!(progress.losses.iter().collect::<Vec<_>>(), [("resumed", 1)]);
+    }
+}

@@ -1,0 +1,344 @@
+//! The thread that empties a link: nothing that happens to the bytes later holds a device up.
+//!
+//! A camera's own buffer is small: whoever reads its link late loses events in the camera, uncounted.
+//! So one thread does nothing else, and what has no room in the queue behind it is let go of here,
+//! where it can be counted and the parser told.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+
+use crate::link::{Link, LinkError, Loss, Received};
+use crate::queue::{Queue, Weigh};
+
+/// Longest wait for a link.
+const WAIT: Duration = Duration::from_millis(50);
+/// A link that was silent for so long after the device was stopped has given all.
+const QUIET: Duration = Duration::from_millis(200);
+/// A device that goes on after it was stopped is heard for so long.
+const DRAIN_MAX: Duration = Duration::from_secs(2);
+/// Buffers that are kept to be used again.
+const SPARE: usize = 64;
+
+/// Bytes of a link, in order.
+#[derive(Debug)]
+pub struct Chunk {
+    /// The bytes.
+    pub bytes: Vec<u8>,
+    /// When the last of them had arrived.
+    pub at: Instant,
+    /// Whether bytes before them are missing.
+    pub after_loss: bool,
+}
+
+impl Weigh for Chunk {
+    fn weight(&self) -> usize {
+        // Its buffer may be larger than what it holds.
+        self.bytes.capacity()
+    }
+}
+
+/// What came over a link, and what did not.
+#[derive(Debug, Default)]
+pub struct LinkAccount {
+    /// Bytes that arrived.
+    pub bytes: AtomicU64,
+    /// Transfers that arrived.
+    pub transfers: AtomicU64,
+    /// Bytes that arrived and were let go of, as the queue was full.
+    pub overrun_bytes: AtomicU64,
+    /// Transfers that were.
+    pub overrun_transfers: AtomicU64,
+    /// Losses that the link told, by cause: overflow, damaged, stalled, injected.
+    losses: [AtomicU64; 4],
+}
+
+/// Names of [`LinkAccount::losses`].
+const CAUSES: [(Loss, &str); 4] = [
+    (Loss::Overflow, "transfers that overflowed"),
+    (Loss::Damaged, "transfers that were damaged"),
+    (Loss::Stalled, "halts of the endpoint"),
+    (Loss::Injected, "transfers dropped on purpose"),
+];
+
+impl LinkAccount {
+    fn lose(&self, cause: Loss) {
+        let at = CAUSES.iter().position(|(other, _)| *other == cause);
+        if let Some(count) = at.and_then(|at| self.losses.get(at)) {
+            count.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Losses by name, those that happened.
+    pub fn losses(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
+        let names = CAUSES.iter().map(|(_, name)| *name);
+        let counts = self.losses.iter().map(|n| n.load(Ordering::Relaxed));
+        let overrun = self.overrun_transfers.load(Ordering::Relaxed);
+        names
+            .zip(counts)
+            .chain([("transfers that the queue had no room for", overrun)])
+            .filter(|(_, n)| *n > 0)
+    }
+}
+
+/// What the pump and those behind it share.
+pub struct Pumped {
+    /// Chunks in the order of the link.
+    pub queue: Queue<Chunk>,
+    /// What came.
+    pub account: LinkAccount,
+    stopping: AtomicBool,
+    failure: Mutex<Option<LinkError>>,
+    spare: Mutex<Vec<Vec<u8>>>,
+}
+
+impl Pumped {
+    /// The device has been stopped: what it sent before is still taken, then the queue ends.
+    pub fn stop(&self) {
+        self.stopping.store(true, Ordering::Relaxed);
+    }
+
+    /// Why the link failed, once, after the queue has ended.
+    pub fn failure(&self) -> Option<LinkError> {
+        self.failure
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take()
+    }
+
+    /// Takes a buffer back.
+    pub fn reuse(&self, mut bytes: Vec<u8>) {
+        bytes.clear();
+        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        if spare.len() < SPARE {
+            spare.push(bytes);
+        }
+    }
+
+    fn buffer(&self) -> Vec<u8> {
+        self.spare
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .pop()
+            .unwrap_or_default()
+    }
+
+    /// Takes what comes until the stream ends, the link fails, or nothing comes after a stop.
+    fn run(&self, link: &mut dyn Link) {
+        let mut after_loss = false;
+        let mut quiet_since = Instant::now();
+        let mut stopped_at = None;
+        loop {
+            if self.stopping.load(Ordering::Relaxed) {
+                let since = *stopped_at.get_or_insert_with(Instant::now);
+                quiet_since = quiet_since.max(since);
+                if quiet_since.elapsed() > QUIET || since.elapsed() > DRAIN_MAX {
+                    break;
+                }
+            }
+            match link.receive(WAIT) {
+                Ok(Received::Bytes { bytes, at }) => {
+                    quiet_since = Instant::now();
+                    self.account
+                        .bytes
+                        .fetch_add(bytes.len() as u64, Ordering::Relaxed);
+                    self.account.transfers.fetch_add(1, Ordering::Relaxed);
+                    let mut buffer = self.buffer();
+                    buffer.extend_from_slice(bytes);
+                    let chunk = Chunk {
+                        bytes: buffer,
+                        at,
+                        after_loss,
+                    };
+                    match self.queue.offer(chunk) {
+                        Ok(()) => after_loss = false,
+                        Err(chunk) => {
+                            after_loss = true;
+                            let lost = chunk.bytes.len() as u64;
+                            self.account
+                                .overrun_bytes
+                                .fetch_add(lost, Ordering::Relaxed);
+                            self.account
+                                .overrun_transfers
+                                .fetch_add(1, Ordering::Relaxed);
+                        }
+                    }
+                }
+                Ok(Received::Lost { cause, .. }) => {
+                    after_loss = true;
+                    self.account.lose(cause);
+                }
+                Ok(Received::Nothing) => {}
+                Ok(Received::Ended) => break,
+                Err(error) => {
+                    let mut failure = self.failure.lock().unwrap_or_else(PoisonError::into_inner);
+                    *failure = Some(error);
+                    break;
+                }
+            }
+        }
+        self.queue.close();
+    }
+}
+
+/// The thread of a link, which gives it back.
+pub type Thread = JoinHandle<Box<dyn Link>>;
+
+/// Starts the thread of a link, whose queue holds at most `queue_bytes`.
+///
+/// # Errors
+/// The thread cannot be started.
+pub fn start(mut link: Box<dyn Link>, queue_bytes: usize) -> Result<(Arc<Pumped>, Thread)> {
+    let pumped = Arc::new(Pumped {
+        queue: Queue::new(queue_bytes),
+        account: LinkAccount::default(),
+        stopping: AtomicBool::new(false),
+        failure: Mutex::new(None),
+        spare: Mutex::new(Vec::new()),
+    });
+    let shared = Arc::clone(&pumped);
+    let thread = Builder::new()
+        .name("pump".to_owned())
+        .spawn(move || {
+            shared.run(link.as_mut());
+            link
+        })
+        .context("starting the thread of the link")?;
+    Ok((pumped, thread))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use std::collections::VecDeque;
+
+    use crate::queue::Taken;
+
+    /// What a scripted link gives next.
+    #[derive(Debug, Clone)]
+    pub(crate) enum Step {
+        Bytes(Vec<u8>),
+        Lost(Loss),
+        Wait,
+        Unplug,
+    }
+
+    /// A link that does as it was told.
+    pub(crate) struct Scripted {
+        pub steps: VecDeque<Step>,
+        pub current: Vec<u8>,
+    }
+
+    impl Scripted {
+        pub(crate) fn link(steps: impl IntoIterator<Item = Step>) -> Box<dyn Link> {
+            Box::new(Self {
+                steps: steps.into_iter().collect(),
+                current: Vec::new(),
+            })
+        }
+    }
+
+    impl Link for Scripted {
+        fn name(&self) -> &str {
+            "script"
+        }
+
+        fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError> {
+            Ok(match self.steps.pop_front() {
+                Some(Step::Bytes(bytes)) => {
+                    self.current = bytes;
+                    Received::Bytes {
+                        bytes: &self.current,
+                        at: Instant::now(),
+                    }
+                }
+                Some(Step::Lost(cause)) => Received::Lost { bytes: None, cause },
+                Some(Step::Wait) => {
+                    std::thread::sleep(timeout.min(Duration::from_millis(2)));
+                    Received::Nothing
+                }
+                Some(Step::Unplug) => {
+                    return Err(LinkError::Unplugged {
+                        link: "script".to_owned(),
+                    });
+                }
+                None => Received::Ended,
+            })
+        }
+
+        fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
+            Ok(())
+        }
+    }
+
+    fn chunks(pumped: &Pumped) -> Vec<(Vec<u8>, bool)> {
+        let mut chunks = Vec::new();
+        while let Taken::Item(chunk) = pumped.queue.take(Duration::from_secs(5)) {
+            chunks.push((chunk.bytes, chunk.after_loss));
+        }
+        chunks
+    }
+
+    #[test]
+    fn losses_stand_before_the_bytes_that_follow() {
+        let link = Scripted::link([
+            Step::Bytes(vec![1]),
+            Step::Wait,
+            Step::Lost(Loss::Damaged),
+            Step::Lost(Loss::Overflow),
+            Step::Bytes(vec![2, 3]),
+            Step::Bytes(vec![4]),
+            Step::Unplug,
+        ]);
+        let (pumped, thread) = start(link, 1 << 10).unwrap();
+        thread.join().unwrap();
+        assert_eq!(
+            chunks(&pumped),
+            [(vec![1], false), (vec![2, 3], true), (vec![4], false)]
+        );
+        assert!(matches!(
+            pumped.failure(),
+            Some(LinkError::Unplugged { .. })
+        ));
+        let losses: Vec<_> = pumped.account.losses().collect();
+        assert_eq!(
+            losses,
+            [
+                ("transfers that overflowed", 1),
+                ("transfers that were damaged", 1)
+            ]
+        );
+    }
+
+    #[test]
+    fn what_has_no_room_is_counted_and_marked() {
+        let link = Scripted::link([
+            Step::Bytes(vec![0; 60]),
+            Step::Bytes(vec![1; 60]),
+            Step::Bytes(vec![2; 30]),
+        ]);
+        let (pumped, thread) = start(link, 100).unwrap();
+        thread.join().unwrap();
+        let met = chunks(&pumped);
+        assert_eq!(met, [(vec![0; 60], false), (vec![2; 30], true)]);
+        assert_eq!(pumped.account.overrun_bytes.load(Ordering::Relaxed), 60);
+        assert_eq!(pumped.account.bytes.load(Ordering::Relaxed), 150);
+    }
+
+    #[test]
+    fn after_a_stop_what_was_sent_is_still_taken() {
+        let waits = std::iter::repeat_n(Step::Wait, 20);
+        let steps = waits
+            .clone()
+            .chain([Step::Bytes(vec![7])])
+            .chain(std::iter::repeat_n(Step::Wait, 1 << 20));
+        let (pumped, thread) = start(Scripted::link(steps), 100).unwrap();
+        pumped.stop();
+        thread.join().unwrap();
+        assert_eq!(chunks(&pumped), [(vec![7], false)]);
+        assert!(pumped.failure().is_none());
+    }
+}
