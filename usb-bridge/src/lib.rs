@@ -20,4 +20,7 @@ pub mod live;
 pub mod peripheral;
 pub mod pump;
 pub mod queue;
+pub mod record;
+pub mod session;
 pub mod stop;
+pub mod usage;

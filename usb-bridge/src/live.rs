@@ -1,7 +1,6 @@
 //! Events of a link as they come: what every command of the project reads recordings with reads a
 //! camera with.
 
-use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -53,13 +52,15 @@ pub struct LiveReader {
 }
 
 impl LiveReader {
-    /// Of a link that is pumped already; `camera` is what files name it.
+    /// Of a link that is pumped already; `camera` is what files name it, `progress` is brought up to date
+    /// some twenty times a second, and at the end.
     #[must_use]
     pub fn new(
         format: &'static str,
         camera: String,
         pumped: Arc<Pumped>,
         parser: Box<dyn Parse>,
+        progress: Arc<Mutex<Progress>>,
     ) -> Self {
         Self {
             format,
@@ -71,15 +72,9 @@ impl LiveReader {
             used: 0,
             ended: false,
             words: Skipped::default(),
-            progress: Arc::default(),
+            progress,
             told: None,
         }
-    }
-
-    /// What watches it: brought up to date some twenty times a second, and at the end.
-    #[must_use]
-    pub fn progress(&self) -> Arc<Mutex<Progress>> {
-        Arc::clone(&self.progress)
     }
 
     fn tell(&mut self) {
@@ -177,19 +172,12 @@ impl EventReader for LiveReader {
     }
 }
 
-/// Bytes that arrived and transfers they came in, for the reports.
-#[must_use]
-pub fn arrived(pumped: &Pumped) -> (u64, u64) {
-    let load = |count: &std::sync::atomic::AtomicU64| count.load(Ordering::Relaxed);
-    (load(&pumped.account.bytes), load(&pumped.account.transfers))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::io::{self, Write};
     use std::num::NonZeroUsize;
-    use std::sync::atomic::AtomicUsize;
+    use std::sync::atomic::{AtomicUsize, Ordering};
 
     use clap::Parser;
     use eecvs_nostd::{Polarity, Scan, scan};
@@ -263,14 +251,21 @@ mod tests {
         }
     }
 
-    fn reader(link: Box<dyn Link>) -> LiveReader {
+    fn reader(link: Box<dyn Link>, progress: &Arc<Mutex<Progress>>) -> LiveReader {
         let (pumped, _) = pump::start(link, 1 << 16).unwrap();
         let parser = Steps {
             time_us: 0,
             events: 0,
             resumed: 0,
         };
-        LiveReader::new("steps", "test".to_owned(), pumped, Box::new(parser))
+        let progress = Arc::clone(progress);
+        LiveReader::new(
+            "steps",
+            "test".to_owned(),
+            pumped,
+            Box::new(parser),
+            progress,
+        )
     }
 
     /// Sends nothing after a quiet window until a frame has been written.
@@ -332,7 +327,7 @@ mod tests {
     fn a_window_is_written_when_its_time_has_run_though_nothing_follows() {
         let frames = Arc::new(AtomicUsize::new(0));
         let mut out = Frames(Arc::clone(&frames), Vec::new());
-        let mut reader = reader(Box::new(Patient { step: 0, frames }));
+        let mut reader = reader(Box::new(Patient { step: 0, frames }), &Arc::default());
         let options = Options::parse_from(["encode", "--window-us", "1000"]);
         let config = options.codec.config(SENSOR).unwrap();
         let summary = encode(
@@ -364,8 +359,8 @@ mod tests {
             Step::Bytes(vec![2; 10]),
             Step::Unplug,
         ]);
-        let mut reader = reader(link);
-        let progress = reader.progress();
+        let progress = Arc::default();
+        let mut reader = reader(link, &progress);
         let mut events = Vec::new();
         assert_eq!(reader.pause(), Pause::Until(0));
         let error = loop {

@@ -45,7 +45,7 @@ impl Weigh for Chunk {
 #[derive(Debug, Default)]
 pub struct LinkAccount {
     /// Bytes that arrived.
-    pub bytes: AtomicU64,
+    bytes: AtomicU64,
     /// Transfers that arrived.
     pub transfers: AtomicU64,
     /// Bytes that arrived and were let go of, as the queue was full.
@@ -72,6 +72,19 @@ impl LinkAccount {
         }
     }
 
+    /// Bytes that arrived, and the transfers that they came in.
+    #[must_use]
+    pub fn arrived(&self) -> (u64, u64) {
+        let bytes = self.bytes.load(Ordering::Relaxed);
+        (bytes, self.transfers.load(Ordering::Relaxed))
+    }
+
+    /// Bytes that arrived and were let go of, as the queue was full.
+    #[must_use]
+    pub fn overrun_bytes(&self) -> u64 {
+        self.overrun_bytes.load(Ordering::Relaxed)
+    }
+
     /// Losses by name, those that happened.
     pub fn losses(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
         let names = CAUSES.iter().map(|(_, name)| *name);
@@ -91,6 +104,7 @@ pub struct Pumped {
     /// What came.
     pub account: LinkAccount,
     stopping: AtomicBool,
+    ended: AtomicBool,
     failure: Mutex<Option<LinkError>>,
     spare: Mutex<Vec<Vec<u8>>>,
 }
@@ -99,6 +113,12 @@ impl Pumped {
     /// The device has been stopped: what it sent before is still taken, then the queue ends.
     pub fn stop(&self) {
         self.stopping.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether nothing comes any more: what is queued can still be taken.
+    #[must_use]
+    pub fn is_ended(&self) -> bool {
+        self.ended.load(Ordering::Relaxed)
     }
 
     /// Why the link failed, once, after the queue has ended.
@@ -181,6 +201,7 @@ impl Pumped {
             }
         }
         self.queue.close();
+        self.ended.store(true, Ordering::Relaxed);
     }
 }
 
@@ -196,6 +217,7 @@ pub fn start(mut link: Box<dyn Link>, queue_bytes: usize) -> Result<(Arc<Pumped>
         queue: Queue::new(queue_bytes),
         account: LinkAccount::default(),
         stopping: AtomicBool::new(false),
+        ended: AtomicBool::new(false),
         failure: Mutex::new(None),
         spare: Mutex::new(Vec::new()),
     });

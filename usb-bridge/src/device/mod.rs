@@ -73,6 +73,11 @@ pub trait Model: Sync {
         false
     }
 
+    /// What a device of this model with such a sensor would say of itself, for streams that come
+    /// without it: files and packets. `stream` is one of its streams' names; `None` where it has none
+    /// of that name, or no such sensor.
+    fn describe(&self, sensor: Sensor, stream: &str) -> Option<Info>;
+
     /// Asks a device what it is, and leaves it silent.
     ///
     /// # Errors

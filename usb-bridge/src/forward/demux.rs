@@ -133,7 +133,7 @@ mod tests {
     fn packet(sequence: u32, words: &[u8]) -> Vec<u8> {
         let mut bytes = Vec::new();
         Packet {
-            encoding: "evk4",
+            encoding: "evk4/evt3",
             sensor: Sensor::new(4, 4).unwrap(),
             sequence,
             time_base_us: None,

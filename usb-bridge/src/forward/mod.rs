@@ -10,4 +10,6 @@ pub mod datagram;
 pub mod demux;
 pub mod fan_out;
 pub mod packet;
+pub mod packetise;
+pub mod receive;
 pub mod sink;

@@ -7,7 +7,7 @@
 //! | 2 | sync EE C7 |
 //! | 1 | version, 1 |
 //! | 1 | flags: bit 0 the time base is known, bit 1 bytes before these are missing |
-//! | 16 | encoding: the device model's name, padded with 0 |
+//! | 32 | encoding: the device model's name, `/`, its stream's name; padded with 0 |
 //! | 2, 2 | width, height of the sensor |
 //! | 4 | number of the packet, wrapping |
 //! | 8 | time base: the device's time before the first word, in microseconds, wraps carried |
@@ -43,7 +43,7 @@ struct Head {
     sync: [u8; 2],
     version: u8,
     flags: u8,
-    encoding: [u8; 16],
+    encoding: [u8; 32],
     width: U16,
     height: U16,
     sequence: U32,
@@ -55,7 +55,7 @@ struct Head {
 /// A packet's contents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Packet<'b> {
-    /// Name of the device model whose words these are.
+    /// Names of the device model whose words these are, and of its stream: `evk4/evt3`.
     pub encoding: &'b str,
     /// Size of the sensor.
     pub sensor: Sensor,
@@ -84,10 +84,10 @@ pub enum Look<'b> {
 
 impl<'b> Packet<'b> {
     /// Appends the packet; `words` must not be longer than [`WORDS_BYTES_MAX`], nor the encoding's name
-    /// than 16 bytes: what is beyond is cut off.
+    /// than 32 bytes: what is beyond is cut off.
     pub fn write(&self, bytes: &mut Vec<u8>) {
         let words = &self.words[..self.words.len().min(WORDS_BYTES_MAX)];
-        let mut encoding = [0; 16];
+        let mut encoding = [0; 32];
         for (to, from) in encoding.iter_mut().zip(self.encoding.bytes()) {
             *to = from;
         }
@@ -169,7 +169,7 @@ mod tests {
             flip in 0..2000_usize,
         ) {
             let packet = Packet {
-                encoding: "davis346",
+                encoding: "davis346/davis",
                 sensor: Sensor::new(width, height).unwrap(),
                 sequence,
                 time_base_us,
@@ -194,7 +194,7 @@ mod tests {
     fn bytes_are_these() {
         let mut bytes = Vec::new();
         let packet = Packet {
-            encoding: "evk4",
+            encoding: "evk4/evt3",
             sensor: Sensor::new(1280, 720).unwrap(),
             sequence: 7,
             time_base_us: Some(0x0102),
@@ -204,7 +204,8 @@ mod tests {
         };
         packet.write(&mut bytes);
         let mut expected = vec![0xEE, 0xC7, 1, 1];
-        expected.extend(*b"evk4\0\0\0\0\0\0\0\0\0\0\0\0");
+        expected.extend(*b"evk4/evt3");
+        expected.extend([0; 23]);
         expected.extend([
             0, 5, 0xD0, 2, 7, 0, 0, 0, 2, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0,
         ]);

@@ -1,0 +1,300 @@
+//! Frames and packets of a link to a file.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use eecvs_nostd::{Event, Order, Sensor, Sequence};
+use host_harness::formats::{self, EventWriter};
+use serde::Serialize;
+
+use super::demux::{Demux, Message};
+use super::packet::Packet;
+use crate::device::{self, Parse};
+use crate::link::listen::Listening;
+use crate::link::{Link, Received as Arrived};
+use crate::record::Kind;
+use crate::session;
+use crate::stop::Stop;
+
+/// Longest wait for the link.
+const WAIT: Duration = Duration::from_millis(50);
+
+/// When it ends by itself.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Limits {
+    /// When the first sender has gone.
+    pub once: bool,
+    /// After a time, or a number of events.
+    pub limits: session::Limits,
+}
+
+/// What was received.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Received {
+    /// Frames and packets.
+    pub messages: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Their events.
+    pub events: u64,
+    /// Messages that never came, as the numbers of the others tell.
+    pub lost_messages: u64,
+    /// Messages that came twice and were left out.
+    pub repeated_messages: u64,
+    /// Bytes that belong to no message.
+    pub damaged_bytes: u64,
+    /// Datagrams that came twice, late or from elsewhere, and were left out.
+    pub late_datagrams: u64,
+    /// Senders, one after the other.
+    pub senders: u64,
+}
+
+impl Received {
+    /// One line about what was lost, or `None` where nothing was.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let met: Vec<String> = [
+            (self.lost_messages, "messages lost"),
+            (self.repeated_messages, "messages that came twice"),
+            (self.damaged_bytes, "bytes of no message"),
+        ]
+        .into_iter()
+        .filter(|(n, _)| *n > 0)
+        .map(|(n, what)| format!("{what}: {n}"))
+        .collect();
+        (!met.is_empty()).then(|| met.join("; "))
+    }
+}
+
+/// Follows the numbers of messages.
+#[derive(Default)]
+struct Numbers {
+    sequence: Sequence,
+    lost: u64,
+    repeated: u64,
+}
+
+impl Numbers {
+    /// Takes a number: whether those before it are missing, or `None` where it came before.
+    fn follow(&mut self, number: u32) -> Option<bool> {
+        match self.sequence.follow(number) {
+            Order::InOrder => Some(false),
+            Order::Lost(frames) => {
+                self.lost += u64::from(frames);
+                Some(true)
+            }
+            Order::Reordered => {
+                self.lost = self.lost.saturating_sub(1);
+                Some(true)
+            }
+            Order::Repeated => {
+                self.repeated += 1;
+                None
+            }
+        }
+    }
+}
+
+/// Where messages go.
+enum Output {
+    /// Frames as they are.
+    Frames(BufWriter<File>),
+    /// Events; the writer is made when the sensor is known.
+    Events(Option<Box<dyn EventWriter>>),
+}
+
+struct Receiver<'p> {
+    path: &'p Path,
+    output: Output,
+    numbers: Numbers,
+    /// The parser of what comes, what it is of, and the sensor.
+    parser: Option<(String, Sensor, Box<dyn Parse>)>,
+    events: Vec<Event>,
+    received: Received,
+}
+
+/// Receives until the wish to stop, a limit, or the end; what was received before an error is in the
+/// file.
+pub fn receive(
+    link: &mut Listening,
+    path: &Path,
+    kind: Kind,
+    limits: Limits,
+    stop: &Stop,
+) -> (Received, Result<()>) {
+    let output = match kind {
+        Kind::Events => Output::Events(None),
+        Kind::Frames => match File::create(path) {
+            Ok(file) => Output::Frames(BufWriter::with_capacity(1 << 16, file)),
+            Err(error) => {
+                let error = anyhow::Error::from(error)
+                    .context(format!("{}: cannot be created", path.display()));
+                return (Received::default(), Err(error));
+            }
+        },
+        Kind::Stream => {
+            let error = anyhow::anyhow!(
+                "{}: a .stream is what capture writes: receive .eecvs or a format of recordings",
+                path.display()
+            );
+            return (Received::default(), Err(error));
+        }
+    };
+    let mut receiver = Receiver {
+        path,
+        output,
+        numbers: Numbers::default(),
+        parser: None,
+        events: Vec::new(),
+        received: Received::default(),
+    };
+    let outcome = receiver.run(link, limits, stop);
+    let finished = receiver.finish();
+    let mut received = receiver.received;
+    received.lost_messages = receiver.numbers.lost;
+    received.repeated_messages = receiver.numbers.repeated;
+    received.late_datagrams = link.late();
+    received.senders = link.senders();
+    (received, outcome.and(finished))
+}
+
+impl Receiver<'_> {
+    fn run(&mut self, link: &mut Listening, limits: Limits, stop: &Stop) -> Result<()> {
+        let started = Instant::now();
+        let mut demux = Demux::default();
+        loop {
+            let session::Limits { duration, events } = limits.limits;
+            let over = stop.is_asked()
+                || duration.is_some_and(|duration| started.elapsed() >= duration)
+                || events.is_some_and(|events| self.received.events >= events);
+            if over {
+                break;
+            }
+            let gone = match link.receive(WAIT)? {
+                Arrived::Bytes { bytes, .. } => {
+                    demux.push(bytes);
+                    false
+                }
+                Arrived::Lost { .. } => {
+                    demux.interrupt();
+                    // A sender that was started anew counts from 0.
+                    self.numbers.sequence = Sequence::new();
+                    self.parser = None;
+                    false
+                }
+                Arrived::Nothing => limits.once && link.senders() > 0 && !link.has_sender(),
+                Arrived::Ended => true,
+            };
+            self.take(&mut demux)?;
+            if gone {
+                break;
+            }
+        }
+        demux.finish();
+        self.received.damaged_bytes = demux.damaged_bytes();
+        Ok(())
+    }
+
+    fn take(&mut self, demux: &mut Demux) -> Result<()> {
+        while let Some(message) = demux.next_message() {
+            match message {
+                Message::Packet(packet) => {
+                    self.received.bytes += packet.words.len() as u64;
+                    self.packet(&packet)?;
+                }
+                Message::Frame(frame) => {
+                    let (length, header) = (frame.bytes, frame.header);
+                    self.received.messages += 1;
+                    self.received.bytes += length as u64;
+                    self.received.events += u64::from(header.events);
+                    let sensor = header.sensor;
+                    if self.numbers.follow(header.sequence).is_none() {
+                        continue;
+                    }
+                    let bytes = demux.last(length);
+                    match &mut self.output {
+                        Output::Frames(file) => file.write_all(bytes).with_context(|| {
+                            format!("{}: cannot be written", self.path.display())
+                        })?,
+                        Output::Events(_) => {
+                            self.follow("mcu/frames", sensor)?;
+                            self.parse(bytes)?;
+                        }
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn packet(&mut self, packet: &Packet<'_>) -> Result<()> {
+        let Output::Events(_) = self.output else {
+            bail!(
+                "{}: raw packets come, not frames: give the file the extension of a format of recordings",
+                self.path.display()
+            );
+        };
+        self.received.messages += 1;
+        self.received.events += u64::from(packet.events);
+        let Some(after_gap) = self.numbers.follow(packet.sequence) else {
+            return Ok(());
+        };
+        let is_new = self.follow(packet.encoding, packet.sensor)?;
+        if (after_gap || is_new || packet.after_loss)
+            && let Some((_, _, parser)) = &mut self.parser
+        {
+            // The first packet of all needs no resumption: its words begin with a time.
+            if packet.time_base_us.is_some() {
+                parser.resume(packet.time_base_us);
+            }
+        }
+        self.parse(packet.words)
+    }
+
+    /// Takes care that there is a parser for what comes; whether it is a new one.
+    fn follow(&mut self, encoding: &str, sensor: Sensor) -> Result<bool> {
+        if let Some((of, size, _)) = &self.parser
+            && (of.as_str(), *size) == (encoding, sensor)
+        {
+            return Ok(false);
+        }
+        let (model, stream) = encoding.split_once('/').unwrap_or((encoding, ""));
+        let parser = device::find(model).and_then(|model| {
+            let info = model.describe(sensor, stream)?;
+            Some(model.parser(&info))
+        });
+        let Some(parser) = parser else {
+            bail!("packets of {encoding}, which this version does not know: use a newer one");
+        };
+        self.parser = Some((encoding.to_owned(), sensor, parser));
+        Ok(true)
+    }
+
+    fn parse(&mut self, bytes: &[u8]) -> Result<()> {
+        let (Some((_, sensor, parser)), Output::Events(writer)) =
+            (&mut self.parser, &mut self.output)
+        else {
+            return Ok(());
+        };
+        self.events.clear();
+        parser.parse(bytes, &mut self.events);
+        let writer = match writer {
+            Some(writer) => writer,
+            None => writer.insert(formats::create(self.path, *sensor)?),
+        };
+        writer.write(&self.events)
+    }
+
+    fn finish(&mut self) -> Result<()> {
+        match std::mem::replace(&mut self.output, Output::Events(None)) {
+            Output::Frames(mut file) => file
+                .flush()
+                .with_context(|| format!("{}: cannot be written", self.path.display())),
+            Output::Events(Some(writer)) => writer.finish(),
+            Output::Events(None) => Ok(()),
+        }
+    }
+}
