@@ -7,7 +7,8 @@
 //! Error of an atom at the most, for k = 7: the line's 2.9e-5 (half of the curve's bend, as the
 //! line runs in the middle of it), 2^-16 of both ends' rounding, and 2^-11 rows of the distance's,
 //! 1.0e-5: 5.5e-5 = 2^-14.15. `atoms_are_within_the_bound` goes through every row and distance and
-//! enforces 2^-14.2, and that no atom reaches 1.
+//! enforces 2^-14.2, and that no atom reaches 1. Grids of up to 16 have rows twice as fine
+//! ([`super::fine_rows`]), of four times the size.
 
 use core::f64::consts::FRAC_PI_2;
 
@@ -42,8 +43,10 @@ pub(crate) static LINES: Lines = table();
 /// Bits of the distance from a row, whose weight is 1 for a whole row.
 pub(crate) const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
 /// Where the row begins in 30 bits of u / 2, and the distance below it.
+#[cfg(eecvs_dsp)]
 pub(crate) const ROW_AT: u32 = 30 - ROWS_LOG2;
 /// Where the distance begins.
+#[cfg(eecvs_dsp)]
 pub(crate) const DISTANCE_AT: u32 = ROW_AT - DISTANCE_BITS;
 /// Weight of the cosine. Not 2^10, whose multiples are up to 2^-15 away from the largest atom.
 pub(crate) const ONE: i32 = 1056;
