@@ -79,7 +79,7 @@ const fn cos_table() -> [Atom; NODES + QUARTER] {
 }
 
 /// cos x for x in [0, pi/2] by its Taylor series: 12 terms leave less than 1e-17.
-const fn cos_first_quarter(x: f64) -> f64 {
+pub(crate) const fn cos_first_quarter(x: f64) -> f64 {
     let mut term = 1.0;
     let mut sum = 1.0;
     let mut n = 1;

@@ -158,7 +158,7 @@ impl Numbers<'_> {
             return finish::<B, _>(common, totals, (magnitudes, kept), told);
         }
         let impulses = Impulses::new(pixel, slots);
-        B::accumulate(impulses.clone(), common.scale(), grid, sums);
+        B::accumulate_list(&impulses, common.scale(), grid, sums);
         set_zeroth::<B, _>(pixel, sums);
         let saturated = finish::<B, _>(common, sums, (magnitudes, kept), told);
         if told.choose(common) {

@@ -248,6 +248,8 @@ impl Default for Group {
 }
 
 /// A pixel's events, oldest first.
+///
+/// `next` and what it links are slots that are there, or the end of the list.
 #[derive(Debug, Clone)]
 pub struct Impulses<'s> {
     slots: &'s [Slot],
@@ -255,14 +257,24 @@ pub struct Impulses<'s> {
 }
 
 impl<'s> Impulses<'s> {
-    /// The events of `pixel`.
+    /// The events of `pixel`, which a group has made of these slots.
     #[inline(always)]
     #[must_use]
-    pub const fn new(pixel: Pixel, slots: &'s [Slot]) -> Self {
-        Self {
-            slots,
-            next: pixel.head,
-        }
+    pub(crate) const fn new(pixel: Pixel, slots: &'s [Slot]) -> Self {
+        Self::from_slot(slots, pixel.head)
+    }
+
+    /// The events from the slot `next` on, of a list in `slots`.
+    #[inline(always)]
+    pub(crate) const fn from_slot(slots: &'s [Slot], next: u32) -> Self {
+        Self { slots, next }
+    }
+
+    /// Whether there is none.
+    #[inline(always)]
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.next as usize >= self.slots.len()
     }
 
     /// The slots, and which of them is next.
@@ -270,6 +282,13 @@ impl<'s> Impulses<'s> {
     #[inline(always)]
     pub(crate) const fn parts(&self) -> (&'s [Slot], u32) {
         (self.slots, self.next)
+    }
+
+    /// Those from the slot `next` on, which is one of theirs, or the end.
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    pub(crate) const fn after(&self, next: u32) -> Self {
+        Self::from_slot(self.slots, next)
     }
 }
 

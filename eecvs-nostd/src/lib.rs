@@ -51,6 +51,7 @@ pub mod kernel;
 mod lanes_dsp;
 pub mod link;
 pub mod link_source;
+pub mod lists;
 pub mod pack;
 #[cfg(target_arch = "x86_64")]
 mod pack_vectors;
@@ -63,6 +64,8 @@ mod prune_dsp;
 pub mod quantise;
 mod rate;
 pub mod regime;
+#[cfg(eecvs_dsp)]
+mod rows_dsp;
 #[cfg(eecvs_dsp)]
 mod segments_dsp;
 pub mod sensor_source;

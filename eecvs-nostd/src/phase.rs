@@ -44,17 +44,12 @@ impl PhaseScale {
     #[inline(always)]
     #[must_use]
     pub const fn half(self, offset_us: u32) -> Phase {
-        Self::half_of(offset_us, self.shift, self.reciprocal)
-    }
-
-    /// [`Self::half`] from [`Self::parts`].
-    #[inline(always)]
-    pub(crate) const fn half_of(offset_us: u32, shift: u32, reciprocal: u32) -> Phase {
-        let product = (offset_us << (shift & 31)) as u64 * reciprocal as u64;
+        let product = (offset_us << (self.shift & 31)) as u64 * self.reciprocal as u64;
         Phase::from_bits((product >> 32) as u32)
     }
 
     /// What [`Self::half`] shifts and multiplies by.
+    #[cfg(eecvs_dsp)]
     pub(crate) const fn parts(self) -> (u32, u32) {
         (self.shift, self.reciprocal)
     }

@@ -107,7 +107,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             sums, magnitudes, ..
         } = &mut *self.scratch;
         let impulses = Impulses::new(pixel, slots);
-        B::accumulate(impulses, self.scale, self.shape.grid, sums);
+        B::accumulate_list(&impulses, self.scale, self.shape.grid, sums);
         if B::RULE as u8 == Rule::Magnitude as u8 {
             set_zeroth::<B, _>(pixel, sums);
         }
@@ -498,12 +498,15 @@ pub(crate) fn sum_crowded<B: Basis>(
     }
     let mut impulses = Impulses::new(pixel, slots);
     for _ in 0..(pixel.on + pixel.off).div_ceil(CHUNK_EVENTS_U32) {
-        B::accumulate(impulses.clone(), scale, grid, sums);
+        let rest = B::accumulate_list(&impulses, scale, grid, sums);
         for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
             // Fewer than 2^24 events of at most 1 each: far from the 2^38 that a total holds.
             *total = total.wrapping_add(sum.wide());
         }
-        let _ = impulses.nth(CHUNK_EVENTS - 1);
+        impulses = rest.unwrap_or_else(|| {
+            let _ = impulses.nth(CHUNK_EVENTS - 1);
+            impulses
+        });
     }
     set_zeroth::<B, _>(pixel, totals);
 }

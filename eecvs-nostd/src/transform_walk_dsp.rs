@@ -17,6 +17,7 @@ use crate::fixed_point::CHUNK_EVENTS;
 use crate::group::{Entry, Group};
 use crate::pack::Packer;
 use crate::phase::PhaseScale;
+use crate::rows_dsp::event;
 use crate::segments_dsp::{Source, next_segments};
 use crate::transform::rows::{self, Lines};
 use crate::waves_dsp::{self, Waves};
@@ -123,7 +124,7 @@ pub fn walk(
     // SAFETY: the pointer is that of the reference; both parts are reached through it alone.
     let (position, words, words_len) = unsafe { BitWriter::raw_parts(writer) };
     let mut walk = Walk {
-        lines: rows::lines(),
+        lines: &rows::LINES,
         slots: slots.as_mut_ptr(),
         phase_shift,
         reciprocal,
@@ -259,66 +260,6 @@ macro_rules! put {
             $bits,
             "\n",
             "2:"
-        )
-    };
-}
-
-/// Adds the atoms of the slot lr to r4 to r10, or begins with them; lr is its link then. As
-/// [`rows::cosines`] does.
-macro_rules! event {
-    ($begin:literal, $r4:literal, $r5:literal, $r6:literal, $r7:literal, $r8:literal, $r9:literal,
-        $r10:literal) => {
-        concat!(
-            "ldm sp, {{r0, r1, r2, r3}}\n",
-            "add r1, r1, lr, lsl #3\n",
-            "ldrd r1, lr, [r1]\n",
-            // r1: u / 2.
-            "lsls r1, r2\n",
-            "umull r3, r1, r1, r3\n",
-            // r2: all ones in the second half of the window; r1: from the nearer edge.
-            "sbfx r2, r1, #30, #1\n",
-            "eors r1, r2\n",
-            // r3: all ones where it is ON.
-            "sbfx r3, lr, #0, #1\n",
-            // r12: the weights for even k; r11: for odd k, whose sign the second half changes.
-            "ubfx r11, r1, #{distance_at}, #{distance_bits}\n",
-            "orr r11, r11, #{one}\n",
-            "eor r12, r11, r3\n",
-            "ssub16 r12, r12, r3\n",
-            "eor r11, r12, r2\n",
-            "ssub16 r11, r11, r2\n",
-            // r1: the row.
-            "ubfx r1, r1, #{row_at}, #{rows_log2}\n",
-            "add r1, r0, r1, lsl #5\n",
-            "ldm r1!, {{r0, r2, r3}}\n",
-            $begin,
-            " r4, r0, r11",
-            $r4,
-            "\n",
-            $begin,
-            " r5, r2, r12",
-            $r5,
-            "\n",
-            $begin,
-            " r6, r3, r11",
-            $r6,
-            "\n",
-            "ldm r1, {{r0, r1, r2, r3}}\n",
-            $begin,
-            " r7, r0, r12",
-            $r7,
-            "\n",
-            $begin,
-            " r8, r1, r11",
-            $r8,
-            "\n",
-            $begin,
-            " r9, r2, r12",
-            $r9,
-            "\n",
-            $begin,
-            " r10, r3, r11",
-            $r10
         )
     };
 }

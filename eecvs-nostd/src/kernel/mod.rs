@@ -30,6 +30,7 @@ mod table;
 mod with_kernel;
 
 use crate::fixed_point::Phase;
+use crate::group::Impulses;
 use crate::phase::PhaseScale;
 use crate::transform::{Basis, Impulse, Transform};
 
@@ -126,6 +127,19 @@ pub trait Accumulate<B: Basis> {
         work: &mut Self::Work,
         sums: &mut [Self::Sum],
     );
+
+    /// As [`Basis::accumulate_list`].
+    #[inline(always)]
+    fn accumulate_list<'s>(
+        impulses: &Impulses<'s>,
+        scale: PhaseScale,
+        grid: usize,
+        work: &mut Self::Work,
+        sums: &mut [Self::Sum],
+    ) -> Option<Impulses<'s>> {
+        Self::accumulate(impulses.clone(), scale, grid, work, sums);
+        None
+    }
 }
 
 /// u / 2, the DCT's step from k to k + 1 as a turn.

@@ -2,10 +2,11 @@
 
 use super::{Accumulate, Impulse, Kernel, PhaseScale};
 use crate::fixed_point::Sum;
+use crate::group::Impulses;
 use crate::transform::{Basis, Dct, Dtft};
 
-/// The atoms of [`crate::transform::rows`] for the DCT of K up to 8, those of
-/// [`crate::transform::wave`] otherwise.
+/// The atoms of [`crate::transform::rows`] for the DCT of K up to 8, of
+/// [`crate::transform::fine_rows`] for K up to 16, and those of [`crate::transform::wave`] otherwise.
 ///
 /// Measured for K = 1,024, |c_k - c_ref| per event: DCT 2^-15.0, DTFT 2^-14.9; `tests/kernels.rs`
 /// enforces 2^-14, and `tests/fixed_vs_float.rs` 2^-15 for each part.
@@ -27,6 +28,17 @@ impl Accumulate<Dct> for Table {
     ) {
         Dct::accumulate(impulses, scale, grid, sums);
     }
+
+    #[inline(always)]
+    fn accumulate_list<'s>(
+        impulses: &Impulses<'s>,
+        scale: PhaseScale,
+        grid: usize,
+        (): &mut (),
+        sums: &mut [Sum],
+    ) -> Option<Impulses<'s>> {
+        Dct::accumulate_list(impulses, scale, grid, sums)
+    }
 }
 
 impl Accumulate<Dtft> for Table {
@@ -43,5 +55,16 @@ impl Accumulate<Dtft> for Table {
         sums: &mut [Sum],
     ) {
         Dtft::accumulate(impulses, scale, grid, sums);
+    }
+
+    #[inline(always)]
+    fn accumulate_list<'s>(
+        impulses: &Impulses<'s>,
+        scale: PhaseScale,
+        grid: usize,
+        (): &mut (),
+        sums: &mut [Sum],
+    ) -> Option<Impulses<'s>> {
+        Dtft::accumulate_list(impulses, scale, grid, sums)
     }
 }

@@ -2,18 +2,23 @@
 
 use core::f64::consts::PI;
 
-use super::{Basis, Impulse, Rule, Transform, cell_of, cells_log2_of, rows, wave};
+use super::{Basis, Impulse, Rule, Transform, cell_of, cells_log2_of, fine_rows, rows, wave};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
+#[cfg(eecvs_dsp)]
+use crate::group::Impulses;
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
 use crate::prune::{Kept, low_frequency};
 use crate::quantise::Levels;
+#[cfg(eecvs_dsp)]
+use crate::rows_dsp;
 
 /// The cosine transform (eq. 6 with phi_k(u) = cos(pi k u)), for dense windows.
 ///
 /// `[Impulse; n] -> [Sum; K]`, |c_k| < n. Measured error against f64, per event: at most 2^-15.0
 /// for K = 1,024 (`tests/fixed_vs_float.rs` enforces 2^-14.9, and n * 2^-14 for n events); for K up
-/// to 8, where [`rows`] has the atoms, 2^-14.28, which it enforces.
+/// to 8, where [`rows`] has the atoms, 2^-14.28, and up to 16, where [`fine_rows`] has them, 2^-14.21,
+/// of which these enforce 2^-14.2.
 #[derive(Debug, Clone, Copy)]
 pub struct Dct;
 
@@ -32,15 +37,40 @@ impl Basis for Dct {
         let turn = |impulse: Impulse| scale.half(impulse.offset_us);
         if grid <= rows::GRID {
             let cosines = rows::cosines(impulses.take(CHUNK_EVENTS), turn);
-            for (sum, cosine) in sums.iter_mut().take(grid).skip(1).zip(cosines) {
-                *sum = Sum::from_bits(cosine);
-            }
-            return;
+            return set(sums, grid, cosines);
+        }
+        if grid <= fine_rows::GRID {
+            let cosines = fine_rows::cosines(impulses.take(CHUNK_EVENTS), turn);
+            return set(sums, grid, cosines);
         }
         let Some(sums) = sums.get_mut(..grid) else {
             return;
         };
         wave::cosines(impulses, turn, sums);
+    }
+
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    fn accumulate_list<'s>(
+        impulses: &Impulses<'s>,
+        scale: PhaseScale,
+        grid: usize,
+        sums: &mut [Sum],
+    ) -> Option<Impulses<'s>> {
+        if grid == rows::GRID
+            && let Some((_, sums)) = sums.split_first_mut()
+            && let Some(sums) = sums.first_chunk_mut()
+        {
+            return Some(rows_dsp::seven(impulses, scale, sums));
+        }
+        if grid > rows::GRID
+            && grid <= fine_rows::GRID
+            && let Some(sums) = sums.first_chunk_mut()
+        {
+            return Some(rows_dsp::fifteen(impulses, scale, sums));
+        }
+        accumulate_apart(impulses, scale, grid, sums);
+        None
     }
 
     #[inline(always)]
@@ -69,5 +99,21 @@ impl Basis for Dct {
         for k in 0..shape.r as u16 {
             each(k, sign * libm::cos(PI * f64::from(k) * u), 0.0);
         }
+    }
+}
+
+/// [`Dct::accumulate`] of what has no assembly. Apart, so that what has some does not wait for its
+/// registers to be saved.
+#[cfg(eecvs_dsp)]
+#[inline(never)]
+fn accumulate_apart(impulses: &Impulses<'_>, scale: PhaseScale, grid: usize, sums: &mut [Sum]) {
+    Dct::accumulate(impulses.clone(), scale, grid, sums);
+}
+
+/// Writes the sums of k = 1 to K - 1.
+#[inline(always)]
+fn set(sums: &mut [Sum], grid: usize, cosines: impl IntoIterator<Item = i32>) {
+    for (sum, cosine) in sums.iter_mut().take(grid).skip(1).zip(cosines) {
+        *sum = Sum::from_bits(cosine);
     }
 }

@@ -6,11 +6,13 @@
 pub mod dct;
 pub mod dtft;
 pub mod dwt;
+pub mod fine_rows;
 pub(crate) mod lanes;
 pub mod rows;
 pub mod wave;
 
 use crate::fixed_point::{Coefficient, Sum};
+use crate::group::Impulses;
 use crate::packing::Shape;
 use crate::phase::PhaseScale;
 use crate::prune::Kept;
@@ -137,6 +139,19 @@ pub trait Basis {
         grid: usize,
         sums: &mut [Sum],
     );
+
+    /// [`Self::accumulate`] over the first impulses of a pixel's list, with the same bits. Returns the
+    /// others where it comes by them.
+    #[inline(always)]
+    fn accumulate_list<'s>(
+        impulses: &Impulses<'s>,
+        scale: PhaseScale,
+        grid: usize,
+        sums: &mut [Sum],
+    ) -> Option<Impulses<'s>> {
+        Self::accumulate(impulses.clone(), scale, grid, sums);
+        None
+    }
 
     /// Prune: adds the coefficients that are sent to `kept`, which is empty. `magnitudes` is memory
     /// for K numbers. Not asked for where [`Rule::LowFrequency`] says which.

@@ -7,18 +7,20 @@
 //! Error of an atom at the most, for k = 7: the line's 2.9e-5 (half of the curve's bend, as the
 //! line runs in the middle of it), 2^-16 of both ends' rounding, and 2^-11 rows of the distance's,
 //! 1.0e-5: 5.5e-5 = 2^-14.15. `atoms_are_within_the_bound` goes through every row and distance and
-//! enforces 2^-14.2, and that no atom reaches 1.
+//! enforces 2^-14.2, and that no atom reaches 1. Grids of up to 16 have rows twice as fine
+//! ([`super::fine_rows`]), of four times the size.
 
 use core::f64::consts::FRAC_PI_2;
 
 use crate::atom::{cos_of_row, round};
+#[cfg(eecvs_dsp)]
+use crate::fixed_point::Sum;
 use crate::fixed_point::{FRACTION_BITS, Phase, dot_add, negate_halves};
 use crate::group::Impulses;
 use crate::phase::PhaseScale;
-use crate::transform::Impulse;
 #[cfg(eecvs_dsp)]
-use crate::window::NEXT_SHIFT;
-use crate::window::Slot;
+use crate::rows_dsp;
+use crate::transform::Impulse;
 
 /// Largest K.
 pub const GRID: usize = 8;
@@ -36,52 +38,68 @@ type Line = u32;
 /// A row has a place more than it has lines: its address is then one shift and an addition.
 pub(crate) type Lines = [[Line; GRID]; ROWS];
 
-static LINES: Lines = table();
-
-/// The table.
-#[cfg(eecvs_dsp)]
-pub(crate) const fn lines() -> &'static Lines {
-    &LINES
-}
+pub(crate) static LINES: Lines = table();
 
 /// Bits of the distance from a row, whose weight is 1 for a whole row.
 pub(crate) const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
 /// Where the row begins in 30 bits of u / 2, and the distance below it.
+#[cfg(eecvs_dsp)]
 pub(crate) const ROW_AT: u32 = 30 - ROWS_LOG2;
 /// Where the distance begins.
+#[cfg(eecvs_dsp)]
 pub(crate) const DISTANCE_AT: u32 = ROW_AT - DISTANCE_BITS;
 /// Weight of the cosine. Not 2^10, whose multiples are up to 2^-15 away from the largest atom.
 pub(crate) const ONE: i32 = 1056;
 /// Largest atom: |c_k| < n is what lets the levels of n events do without a bit for n itself.
 const ATOM_MAX: i32 = (1 << FRACTION_BITS) - 1;
 
+/// Weights of an event's lines.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Weights {
+    /// p and p d for even k.
+    pub even: u32,
+    /// The same for odd k.
+    pub odd: u32,
+}
+
+/// The row of an event at the `half` turn u / 2, in a table of 2^`ROWS_LOG2` rows that has -cos in
+/// units of `ONE`, and the weights of its lines.
+#[inline(always)]
+pub(crate) fn weigh<const ROWS_LOG2: u32, const ONE: i32>(
+    half: Phase,
+    is_on: bool,
+) -> (usize, Weights) {
+    let half = half.to_bits();
+    // All ones in the second half of the window, which is turned round: 30 bits are left.
+    let turned = ((half << 1) as i32 >> 31) as u32;
+    let from_edge = half ^ turned;
+    let row = (from_edge >> (30 - ROWS_LOG2)) as usize % (1 << ROWS_LOG2);
+    let distance = (from_edge >> (30 - ROWS_LOG2 - DISTANCE_BITS)) % (1 << DISTANCE_BITS);
+    let weights = ((ONE as u32) << 16) | distance;
+    // The table's cosines are negative: it is ON that turns them.
+    let negative = u32::from(is_on).wrapping_neg();
+    let weights = Weights {
+        even: negate_halves(weights, negative),
+        odd: negate_halves(weights, negative ^ turned),
+    };
+    (row, weights)
+}
+
 /// An event's lines and their weights.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Weighted {
     lines: &'static [Line; GRID],
-    /// p and p d for even k.
-    even: u32,
-    /// The same for odd k.
-    odd: u32,
+    weights: Weights,
 }
 
 impl Weighted {
     /// Of an event at the `half` turn u / 2.
     #[inline(always)]
     fn new(half: Phase, is_on: bool) -> Self {
-        let half = half.to_bits();
-        // All ones in the second half of the window, which is turned round: 30 bits are left.
-        let turned = ((half << 1) as i32 >> 31) as u32;
-        let from_edge = half ^ turned;
-        let row = (from_edge >> ROW_AT) as usize % ROWS;
-        let distance = (from_edge >> DISTANCE_AT) % (1 << DISTANCE_BITS);
-        let weights = ((ONE as u32) << 16) | distance;
-        // The table's cosines are negative: it is ON that turns them.
-        let negative = u32::from(is_on).wrapping_neg();
+        let (row, weights) = weigh::<ROWS_LOG2, ONE>(half, is_on);
         Self {
-            lines: &LINES[row],
-            even: negate_halves(weights, negative),
-            odd: negate_halves(weights, negative ^ turned),
+            lines: &LINES[row % ROWS],
+            weights,
         }
     }
 }
@@ -89,7 +107,7 @@ impl Weighted {
 /// Sums of the atoms, one by one.
 #[cfg_attr(target_feature = "sse2", allow(dead_code))]
 mod portable {
-    use super::{ATOMS, Weighted, dot_add};
+    use super::{ATOMS, Weighted, Weights, dot_add};
 
     #[derive(Debug, Clone, Copy)]
     pub struct Sums([i32; ATOMS]);
@@ -104,7 +122,8 @@ mod portable {
         pub fn add(&mut self, event: Weighted) {
             for (i, (sum, line)) in self.0.iter_mut().zip(event.lines).enumerate() {
                 // k = i + 1
-                let weights = if i % 2 == 0 { event.odd } else { event.even };
+                let Weights { even, odd } = event.weights;
+                let weights = if i % 2 == 0 { odd } else { even };
                 *sum = dot_add(*sum, *line, weights);
             }
         }
@@ -127,7 +146,7 @@ mod sse2 {
         _mm_srli_epi64, _mm_storeu_si128, _mm_unpackhi_epi64, _mm_xor_si128,
     };
 
-    use super::{ATOMS, GRID, Weighted};
+    use super::{ATOMS, GRID, Weighted, Weights};
 
     #[derive(Debug, Clone, Copy)]
     pub struct Sums([__m128i; 2]);
@@ -141,7 +160,8 @@ mod sse2 {
 
         #[inline(always)]
         pub fn add(&mut self, event: Weighted) {
-            let (odd, even) = (event.odd.cast_signed(), event.even.cast_signed());
+            let Weights { even, odd } = event.weights;
+            let (odd, even) = (odd.cast_signed(), even.cast_signed());
             // SAFETY: as for `zero`. k = 1 is the lowest.
             let weights = unsafe { _mm_set_epi32(even, odd, even, odd) };
             let (lines, _) = event.lines.as_chunks::<4>();
@@ -237,9 +257,7 @@ fn sums_of(impulses: impl Iterator<Item = Impulse>, half: impl Fn(Impulse) -> Ph
 #[derive(Debug)]
 #[repr(C)]
 pub struct Cosines {
-    shift: u32,
-    reciprocal: u32,
-    lines: &'static Lines,
+    scale: PhaseScale,
     #[cfg(not(target_arch = "x86_64"))]
     sums: [i32; ATOMS],
     #[cfg(not(target_arch = "x86_64"))]
@@ -250,11 +268,8 @@ impl Cosines {
     /// For a window of this scale.
     #[must_use]
     pub fn new(scale: PhaseScale) -> Self {
-        let (shift, reciprocal) = scale.parts();
         Self {
-            shift,
-            reciprocal,
-            lines: &LINES,
+            scale,
             #[cfg(not(target_arch = "x86_64"))]
             sums: [0; ATOMS],
             #[cfg(not(target_arch = "x86_64"))]
@@ -285,10 +300,8 @@ impl Cosines {
     /// Sums up the events of a pixel, at most [`CHUNK_EVENTS`].
     #[cfg(not(any(eecvs_dsp, target_arch = "x86_64")))]
     pub(crate) fn sum(&mut self, impulses: &Impulses<'_>) {
-        let (shift, reciprocal) = (self.shift, self.reciprocal);
-        self.sums = cosines(impulses.clone(), |impulse| {
-            PhaseScale::half_of(impulse.offset_us, shift, reciprocal)
-        });
+        let scale = self.scale;
+        self.sums = cosines(impulses.clone(), |impulse| scale.half(impulse.offset_us));
         self.spread = spread(&self.sums);
     }
 
@@ -296,23 +309,18 @@ impl Cosines {
     #[cfg(target_arch = "x86_64")]
     #[inline(never)]
     pub(crate) fn sums_of(&self, impulses: &Impulses<'_>) -> Sums {
-        let (shift, reciprocal) = (self.shift, self.reciprocal);
-        sums_of(impulses.clone(), |impulse| {
-            PhaseScale::half_of(impulse.offset_us, shift, reciprocal)
-        })
+        let scale = self.scale;
+        sums_of(impulses.clone(), |impulse| scale.half(impulse.offset_us))
     }
 
-    /// The same bits with all sums in registers, which leaves the compiler too few for the rest: it
-    /// takes 45 instructions per event for these 34.
+    /// The same bits from [`rows_dsp`].
     #[cfg(eecvs_dsp)]
-    #[allow(unsafe_code)]
     #[inline(always)]
     pub(crate) fn sum(&mut self, impulses: &Impulses<'_>) {
-        let (slots, next) = impulses.parts();
-        // SAFETY: `cosines_dsp` reads slots of an index below their number alone, reads the table
-        // at rows below 512, and writes `sums` and `spread` of `self`. The build script sets `eecvs_dsp` only
-        // for cores that have the instructions.
-        unsafe { cosines_dsp(slots.as_ptr(), slots.len(), next, self) }
+        let mut sums = [Sum::ZERO; ATOMS];
+        let _ = rows_dsp::seven(impulses, self.scale, &mut sums);
+        self.sums = sums.map(Sum::to_bits);
+        self.spread = spread(&self.sums);
     }
 }
 
@@ -323,104 +331,6 @@ pub(crate) fn spread(sums: &[i32; ATOMS]) -> u32 {
     let spread = |all, sum: &i32| all | (sum ^ (sum >> 31));
     sums.iter().fold(0, spread) as u32
 }
-
-/// [`Cosines::sum`] from the slot at `index` on, as [`Weighted::new`] and [`Weighted::add`] have it.
-///
-/// # Safety
-/// `slots` is the first of `len`, and the core has the DSP instructions.
-#[cfg(eecvs_dsp)]
-#[allow(unsafe_code)]
-#[unsafe(naked)]
-unsafe extern "C" fn cosines_dsp(slots: *const Slot, len: usize, index: u32, work: &mut Cosines) {
-    core::arch::naked_asm!(
-        "push {{r4-r11, lr}}",
-        "mov lr, r2",
-        "ldm r3, {{r4-r6}}",
-        // At sp: len, work, shift, reciprocal, lines.
-        "push {{r1, r3, r4, r5, r6}}",
-        "movs r4, #0",
-        "movs r5, #0",
-        "movs r6, #0",
-        "movs r7, #0",
-        "mov r8, r4",
-        "mov r9, r4",
-        "mov r10, r4",
-        "cmp lr, r1",
-        "bcs 3f",
-        "2:",
-        // r1: u / 2; lr: the link.
-        "add r1, r0, lr, lsl #3",
-        "ldrd r1, lr, [r1]",
-        "ldr r2, [sp, #8]",
-        "lsls r1, r2",
-        "ldr r2, [sp, #12]",
-        "umull r3, r1, r1, r2",
-        // r2: all ones in the second half of the window; r1: from the nearer edge.
-        "sbfx r2, r1, #30, #1",
-        "eors r1, r2",
-        // r3: all ones where it is ON; r2: where odd k change their sign.
-        "sbfx r3, lr, #0, #1",
-        "eors r2, r3",
-        // r12: the weights for even k, r11: for odd k.
-        "ubfx r11, r1, #{distance_at}, #{distance_bits}",
-        "orr r11, r11, #{one}",
-        "eor r12, r11, r3",
-        "ssub16 r12, r12, r3",
-        "eor r11, r11, r2",
-        "ssub16 r11, r11, r2",
-        // r1: the row.
-        "ubfx r1, r1, #{row_at}, #{rows_log2}",
-        "ldr r2, [sp, #16]",
-        "add r1, r2, r1, lsl #5",
-        "ldrd r2, r3, [r1]",
-        "smlad r4, r2, r11, r4",
-        "smlad r5, r3, r12, r5",
-        "ldrd r2, r3, [r1, #8]",
-        "smlad r6, r2, r11, r6",
-        "smlad r7, r3, r12, r7",
-        "ldrd r2, r3, [r1, #16]",
-        "ldr r1, [r1, #24]",
-        "smlad r8, r2, r11, r8",
-        "smlad r9, r3, r12, r9",
-        "smlad r10, r1, r11, r10",
-        // The next slot; the end of the list is beyond any buffer.
-        "lsr lr, lr, #{next_at}",
-        "ldr r3, [sp]",
-        "cmp lr, r3",
-        "bcc 2b",
-        "3:",
-        "eor r0, r4, r4, asr #31",
-        "eor r1, r5, r5, asr #31",
-        "orrs r0, r1",
-        "eor r1, r6, r6, asr #31",
-        "orrs r0, r1",
-        "eor r1, r7, r7, asr #31",
-        "orrs r0, r1",
-        "eor r1, r8, r8, asr #31",
-        "orrs r0, r1",
-        "eor r1, r9, r9, asr #31",
-        "orrs r0, r1",
-        "eor r1, r10, r10, asr #31",
-        "orrs r0, r1",
-        "ldr r1, [sp, #4]",
-        "adds r1, #12",
-        "stm r1!, {{r4-r10}}",
-        "str r0, [r1]",
-        "add sp, #20",
-        "pop {{r4-r11, pc}}",
-        distance_at = const DISTANCE_AT,
-        distance_bits = const DISTANCE_BITS,
-        one = const ONE << 16,
-        row_at = const ROW_AT,
-        rows_log2 = const ROWS_LOG2,
-        next_at = const NEXT_SHIFT,
-    )
-}
-
-// What the assembly takes for granted.
-const _: () = assert!(size_of::<Slot>() == 8 && ATOMS == 7);
-#[cfg(eecvs_dsp)]
-const _: () = assert!(Cosines::SUMS_AT == 12);
 
 /// The table in constant evaluation: the same bits on every machine.
 const fn table() -> Lines {

@@ -1,5 +1,5 @@
 //! p cos(k a) and p exp(-i k a) for k = 1, 2, ... from a table of one wave with lines between its
-//! rows: the DTFT, and the DCT of grids that [`super::rows`] has no atoms of.
+//! rows: the DTFT, and the DCT of grids that [`super::rows`] and [`super::fine_rows`] have no atoms of.
 //!
 //! A row holds a line, start and slope, 16 bits each, so that one `smlad` with the weights (`ONE`,
 //! d) adds an atom; d is bits 27 to 12 of the phase as they are, signed: the distance from the row,

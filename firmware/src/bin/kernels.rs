@@ -3,9 +3,9 @@
 //!
 //! The cut is the file `cut.words` of the folder that QEMU runs in, read over semihosting:
 //! `host-harness/src/bench/kernel_image.rs` writes it and says what is in it. Counted is what the
-//! host times: every pixel, from impulses that lie in memory by pixel, oldest first, to sums in
-//! memory. The pixels come in two parts, those of a few events and the crowded ones, which are
-//! counted one after the other.
+//! host times: every pixel, from its impulses, oldest first, to sums in memory. They are where a
+//! window has them, in lists of slots. The pixels come in two parts, those of a few events and the
+//! crowded ones, which are counted one after the other.
 //!
 //! A second pass makes a checksum of all sums, which are the host's bit by bit, those in f32 too.
 //! These are instructions, not cycles: no flash waits, no pipeline.
@@ -19,10 +19,13 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::debug::{self, EXIT_FAILURE, EXIT_SUCCESS};
 use cortex_m_semihosting::{hprintln, nr, syscall};
 use eecvs_firmware as _;
+use eecvs_nostd::Slot;
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
+use eecvs_nostd::group::Impulses;
 use eecvs_nostd::kernel::{
     Accumulate, Haar, Libm, Micromath, Precise, PreciseSum, Recurrence, Table,
 };
+use eecvs_nostd::lists::{LaidOut, Lists};
 use eecvs_nostd::phase::PhaseScale;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, Impulse};
 use heapless::Vec;
@@ -42,6 +45,7 @@ type Totals = [u64; NUMBERS];
 const FILE: &[u8] = b"cut.words\0";
 
 static CUT: ConstStaticCell<Cut> = ConstStaticCell::new(Cut::EMPTY);
+static SLOTS: ConstStaticCell<[Slot; EVENTS]> = ConstStaticCell::new([Slot::EMPTY; EVENTS]);
 static TOTALS: ConstStaticCell<Totals> = ConstStaticCell::new([0; NUMBERS]);
 
 /// One part of a window's pixels.
@@ -56,7 +60,6 @@ struct Cut {
     windows: Vec<Window, WINDOWS>,
     /// Events of each pixel.
     lengths: Vec<u16, EVENTS>,
-    impulses: Vec<Impulse, EVENTS>,
     /// Windows, pixels and events of the first part.
     few: [usize; 3],
 }
@@ -66,19 +69,21 @@ struct Cut {
 struct Part<'c> {
     windows: &'c [Window],
     lengths: &'c [u16],
-    impulses: &'c [Impulse],
+    lists: LaidOut<'c>,
+    /// Impulses before them.
+    first: usize,
 }
 
 impl Cut {
     const EMPTY: Self = Self {
         windows: Vec::new(),
         lengths: Vec::new(),
-        impulses: Vec::new(),
         few: [0; 3],
     };
 
     /// Takes the file in; `None` where it is not there, is no cut or has no room.
-    fn read(&mut self) -> Option<()> {
+    fn read(&mut self, lists: &mut Lists<'_>) -> Option<()> {
+        let mut impulses = 0;
         let mut input = Input::open()?;
         for part in 0..2 {
             for _ in 0..input.word()? {
@@ -88,40 +93,37 @@ impl Cut {
                 for _ in 0..pixels {
                     let events = input.word()?;
                     self.lengths.push(u16::try_from(events).ok()?).ok()?;
-                    for _ in 0..events {
-                        let word = input.word()?;
-                        let impulse = Impulse {
-                            offset_us: word >> 1,
-                            is_on: word % 2 == 1,
-                        };
-                        self.impulses.push(impulse).ok()?;
-                    }
+                    let words = core::iter::from_fn(|| input.word());
+                    let first = lists.push(words.take(events as usize).map(|word| Impulse {
+                        offset_us: word >> 1,
+                        is_on: word % 2 == 1,
+                    }))?;
+                    // Not so after a list that was short of words.
+                    (first == impulses).then_some(())?;
+                    impulses += events as usize;
                 }
             }
             if part == 0 {
-                self.few = [self.windows.len(), self.lengths.len(), self.impulses.len()];
+                self.few = [self.windows.len(), self.lengths.len(), impulses];
             }
         }
-        Some(())
+        (lists.push([])? == impulses).then_some(())
     }
 
     /// The pixels of a few events, and the crowded ones.
-    fn parts(&self) -> [Part<'_>; 2] {
-        let [windows, pixels, events] = self.few;
+    fn parts<'c>(&'c self, lists: LaidOut<'c>) -> [Part<'c>; 2] {
+        let [windows, pixels, first] = self.few;
         let windows = self.windows.split_at(windows);
         let lengths = self.lengths.split_at(pixels);
-        let impulses = self.impulses.split_at(events);
+        let part = |windows, lengths, first| Part {
+            windows,
+            lengths,
+            lists,
+            first,
+        };
         [
-            Part {
-                windows: windows.0,
-                lengths: lengths.0,
-                impulses: impulses.0,
-            },
-            Part {
-                windows: windows.1,
-                lengths: lengths.1,
-                impulses: impulses.1,
-            },
+            part(windows.0, lengths.0, 0),
+            part(windows.1, lengths.1, first),
         ]
     }
 }
@@ -257,25 +259,31 @@ where
         }
     }
 
-    /// A chunk into `sums`. Not inlined: what is counted is what the checksum is of.
+    /// A pixel of a chunk at the most into `sums`. Not inlined: what is counted is what the checksum is
+    /// of.
     #[inline(never)]
-    fn chunk(&mut self, impulses: &[Impulse], scale: &PhaseScale) {
-        let impulses = impulses.iter().copied();
-        A::accumulate(impulses, *scale, self.grid, &mut self.work, &mut self.sums);
+    fn whole(&mut self, impulses: &Impulses<'_>, scale: &PhaseScale) {
+        A::accumulate_list(impulses, *scale, self.grid, &mut self.work, &mut self.sums);
+    }
+
+    /// A chunk of a larger one; returns the others where the kernel comes by them.
+    #[inline(never)]
+    fn chunk<'l>(&mut self, impulses: &Impulses<'l>, scale: &PhaseScale) -> Option<Impulses<'l>> {
+        A::accumulate_list(impulses, *scale, self.grid, &mut self.work, &mut self.sums)
     }
 
     /// Every pixel of a part: in `sums`, or in `totals` where it has several chunks.
     #[inline(never)]
     fn pass(&mut self, part: Part<'_>, totals: &mut Totals, listener: &mut impl Listen<A::Sum>) {
-        let (mut lengths, mut impulses) = (part.lengths, part.impulses);
+        let (mut lengths, mut first) = (part.lengths, part.first);
         for window in part.windows {
             let pixels;
             (pixels, lengths) = lengths.split_at(window.pixels);
             for events in pixels {
-                let pixel;
-                (pixel, impulses) = impulses.split_at(usize::from(*events));
-                if pixel.len() <= CHUNK_EVENTS {
-                    self.chunk(pixel, &window.scale);
+                let pixel = part.lists.impulses(first);
+                first += usize::from(*events);
+                if usize::from(*events) <= CHUNK_EVENTS {
+                    self.whole(&pixel, &window.scale);
                     listener.chunk(&self.sums);
                 } else {
                     self.several(pixel, &window.scale, totals, listener);
@@ -290,19 +298,23 @@ where
     #[inline(never)]
     fn several(
         &mut self,
-        pixel: &[Impulse],
+        mut pixel: Impulses<'_>,
         scale: &PhaseScale,
         totals: &mut Totals,
         listener: &mut impl Listen<A::Sum>,
     ) {
         let totals = totals.get_mut(..B::values(self.grid)).unwrap_or_default();
         totals.fill(0);
-        for impulses in pixel.chunks(CHUNK_EVENTS) {
-            self.chunk(impulses, scale);
+        while !pixel.is_empty() {
+            let rest = self.chunk(&pixel, scale);
             listener.chunk(&self.sums);
             for (total, sum) in totals.iter_mut().zip(&self.sums) {
                 sum.add_to(total);
             }
+            pixel = rest.unwrap_or_else(|| {
+                let _ = pixel.nth(CHUNK_EVENTS - 1);
+                pixel
+            });
         }
         black_box(totals);
     }
@@ -456,13 +468,14 @@ fn run() -> Option<()> {
         return None;
     }
     let cut = CUT.take();
-    if cut.read().is_none() {
+    let mut lists = Lists::new(SLOTS.take());
+    if cut.read(&mut lists).is_none() {
         hprintln!("cut.words: not there, or no cut that has room");
         return None;
     }
     let mut bench = Bench {
         counter,
-        parts: cut.parts(),
+        parts: cut.parts(lists.laid_out()),
         totals: TOTALS.take(),
     };
     bench.measure_all()
