@@ -9,19 +9,16 @@
 #![allow(unsafe_code)]
 
 use core::cell::Cell;
+use core::mem::offset_of;
 
-use super::content::{Content, Node};
-use super::dense_times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, Neighbour, Times};
-use super::dense_walk_dsp::{DONE, FLAG, FULL, LEFT, OVER, ROW, decide, walk_row, walk_row_after};
+use super::dense_times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, Times};
+use super::dense_walk_dsp::{FLAG, FULL, LEFT, ROW, walk_row, walk_row_after};
 use super::dense_walk_state_dsp::Walk;
 use super::model::Model;
-use super::range::{
-    Binary, FINISH_BYTES, PLAIN_BITS, Probability, RANGE_MIN, RangeParts, SCALE, carry,
-};
-use super::symbols::Symbols;
+use super::range::{FINISH_BYTES, RangeParts};
 use crate::event::Sensor;
 use crate::group::{Group, Pixel};
-use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS, Slot, Window};
+use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS, Window};
 
 /// An encoder's window, and how far it is coded.
 pub struct Parts<'p, 'w> {
@@ -68,16 +65,13 @@ impl Walked {
 
 /// What the assembly does not do itself: going on to the next segment, and the events of pixels in rows
 /// that follow.
-pub(super) struct Advance<'r, 'p, 'w> {
+pub(super) struct Advance<'p, 'w> {
     parts: Parts<'p, 'w>,
     y: usize,
     pixels: u32,
-    times: *mut Times,
-    clock: &'r mut Clock,
-    following: Following,
 }
 
-impl Advance<'_, '_, '_> {
+impl Advance<'_, '_> {
     /// The next segment of the row that has events, beyond all where there is none.
     #[inline(always)]
     fn segment(&mut self) -> u32 {
@@ -89,7 +83,7 @@ impl Advance<'_, '_, '_> {
 }
 
 /// Counts the pixels of a segment and goes to the next that has events.
-pub(super) unsafe extern "C" fn advance(advance: &mut Advance<'_, '_, '_>, occupied: u32) -> u32 {
+pub(super) unsafe extern "C" fn advance(advance: &mut Advance<'_, '_>, occupied: u32) -> u32 {
     advance.pixels += occupied.count_ones();
     advance.segment()
 }
@@ -167,13 +161,17 @@ impl Walk {
         self.last_length = clock.last_length;
         self.left = *parts.left;
         self.follows = u32::from(following != Following::Not);
+        self.tries = u32::from(following == Following::Tries);
+        self.prefixes = model.times.prefixes.as_mut_ptr();
+        self.lengths = model.times.lengths.as_mut_ptr();
+        self.trials = (&raw mut model.times)
+            .cast::<u8>()
+            .wrapping_add(offset_of!(Times, trials))
+            .cast();
         let mut advance = Advance {
             parts,
             y,
             pixels: 0,
-            times: &raw mut model.times,
-            clock,
-            following,
         };
         self.ahead = advance.segment();
         self.columns_told = &raw mut advance.parts.group.columns;
@@ -196,12 +194,7 @@ impl Walk {
                 walk_row(self)
             }
         };
-        let Advance {
-            parts,
-            pixels,
-            clock,
-            ..
-        } = advance;
+        let Advance { parts, pixels, .. } = advance;
         clock.last_length = self.last_length;
         let mut walked = Walked {
             segment: self.segment as usize,
@@ -264,218 +257,4 @@ pub struct Words<'r> {
 /// Whether a row's walk is made for these cells.
 pub(super) const fn serves(clock: &Clock) -> bool {
     clock.beside_bits == 0 && clock.bits > FIRST_BITS && clock.bits <= BITS_MAX
-}
-
-/// Codes the events of a pixel in a row that follows, of which the polarity of the first has been; returns
-/// [`DONE`], or what the walk ends with.
-pub(super) unsafe extern "C" fn follow(
-    advance: &mut Advance<'_, '_, '_>,
-    walk: &mut Walk,
-    cell: u32,
-    link: u32,
-) -> u32 {
-    let column = walk.column & 31;
-    // SAFETY: the walk is at a column of its segment, whose lists and last events are there; there are
-    // those to the west of one that is occupied.
-    let (west, north) = unsafe {
-        let (lists, lasts) = (
-            walk.lists.add(column as usize),
-            walk.lasts.add(column as usize),
-        );
-        let west = if walk.west >> column & 2 != 0 {
-            Neighbour {
-                list: *lists.sub(1),
-                last: *lasts.sub(1),
-            }
-        } else {
-            Neighbour::NONE
-        };
-        let north = if walk.north >> column & 1 != 0 {
-            Neighbour {
-                list: walk.north_list,
-                last: *lasts,
-            }
-        } else {
-            Neighbour::NONE
-        };
-        (west, north)
-    };
-    let mut content = Events {
-        slots: advance.parts.window.slots(),
-        slot: Slot::new(cell, link >> NEXT_SHIFT, link),
-        at: 0,
-        is_more: true,
-        left: walk.left,
-    };
-    advance.clock.last_length = walk.last_length;
-    // SAFETY: nothing else has a reference to the times while this runs.
-    let times = unsafe { &mut *advance.times };
-    let neighbours = ((west, north), advance.following);
-    let first_on = link & 1 == 1;
-    let mut coder = Coder(&mut *walk);
-    let pixel = advance
-        .clock
-        .pixel(times, &mut coder, &mut content, first_on, neighbours);
-    let (left, next) = (content.left, content.at);
-    let is_more = content.is_more;
-    walk.last_length = advance.clock.last_length;
-    walk.left = left;
-    // SAFETY: as above.
-    unsafe { *walk.lasts.add(column as usize) = pixel.last };
-    if pixel.goes_on {
-        walk.last_on |= (pixel.last & 1) << column;
-        return DONE;
-    }
-    walk.link = next << NEXT_SHIFT | pixel.last & 1;
-    if left == 0 || !is_more { OVER } else { FULL }
-}
-
-/// The events of one pixel.
-struct Events<'s> {
-    slots: &'s [Slot],
-    slot: Slot,
-    /// Number of the next one, once one was taken.
-    at: u32,
-    is_more: bool,
-    left: u32,
-}
-
-impl Content for Events<'_> {
-    fn has_row(&mut self, _y: u16) -> bool {
-        false
-    }
-
-    fn has_segment(&mut self, _segment: u16, _y: u16) -> bool {
-        false
-    }
-
-    fn columns(&mut self) -> u32 {
-        0
-    }
-
-    fn enter(&mut self, _position: (u16, u16)) -> u32 {
-        0
-    }
-
-    #[inline(always)]
-    fn is_more(&self) -> bool {
-        self.is_more
-    }
-
-    #[inline(always)]
-    fn peek(&self) -> (u32, bool) {
-        (self.slot.offset_us(), self.slot.is_on())
-    }
-
-    #[inline(always)]
-    fn take(&mut self, _cell: u32, _on: bool) {
-        self.left = self.left.saturating_sub(1);
-        self.at = self.slot.next();
-        match self.slots.get(self.at as usize) {
-            Some(slot) => self.slot = *slot,
-            None => self.is_more = false,
-        }
-    }
-
-    #[inline(always)]
-    fn is_over(&self) -> bool {
-        self.left == 0
-    }
-
-    #[inline(always)]
-    fn at(&self, list: u32) -> Option<Node> {
-        let slot = self.slots.get(list as usize)?;
-        Some(Node {
-            cell: slot.offset_us(),
-            on: slot.is_on(),
-            next: slot.next(),
-        })
-    }
-}
-
-/// The range coder within a walk, where there is room.
-struct Coder<'c>(&'c mut Walk);
-
-impl Coder<'_> {
-    fn add(&mut self, more: u32) {
-        let (low, carries) = self.0.low.overflowing_add(more);
-        self.0.low = low;
-        if carries {
-            let len = self.0.out.addr() - self.0.start.addr();
-            // SAFETY: both are of the output, the first not below the second.
-            let out = unsafe { core::slice::from_raw_parts_mut(self.0.start, len) };
-            carry(out, len);
-        }
-    }
-
-    fn renew(&mut self) {
-        if self.0.range < RANGE_MIN {
-            // SAFETY: there was room for an event.
-            unsafe { *self.0.out = (self.0.low >> 24) as u8 };
-            self.0.out = self.0.out.wrapping_add(1);
-            self.0.low <<= 8;
-            self.0.range <<= 8;
-        }
-    }
-
-    #[inline(never)]
-    fn share(&mut self, (begin, end): (u32, u32), all: u32) {
-        self.0.range /= all;
-        self.add(begin * self.0.range);
-        self.0.range *= end - begin;
-        self.renew();
-        self.renew();
-    }
-}
-
-impl Binary for Coder<'_> {
-    #[inline(always)]
-    fn bit(&mut self, probability: &mut Probability, bit: bool) -> bool {
-        // SAFETY: there was room for an event.
-        unsafe { decide(self.0, probability, u32::from(bit)) };
-        bit
-    }
-
-    #[inline(always)]
-    fn symbol<const N: usize>(&mut self, table: &mut Symbols<N>, symbol: usize) -> usize {
-        self.share(table.share(symbol), SCALE);
-        table.learn(symbol);
-        symbol
-    }
-
-    #[inline(always)]
-    fn symbol_up_to<const N: usize>(
-        &mut self,
-        table: &mut Symbols<N>,
-        symbol: usize,
-        last: usize,
-    ) -> usize {
-        self.share(table.share(symbol), table.share(last).1.max(1));
-        table.learn(symbol);
-        symbol
-    }
-
-    fn one_of(&mut self, number: u32, _count: u32) -> u32 {
-        number
-    }
-
-    #[inline(never)]
-    fn plain(&mut self, value: u32, count: u32) -> u32 {
-        let mut left = count;
-        while left > 0 {
-            let bits = left.min(PLAIN_BITS);
-            left -= bits;
-            self.0.range >>= bits;
-            self.add(((value >> left) & ((1 << bits) - 1)) * self.0.range);
-            self.renew();
-            self.renew();
-        }
-        value
-    }
-
-    #[inline(always)]
-    fn has_room(&self, _bytes: usize) -> bool {
-        // Of an event: nothing else is asked for here.
-        self.0.out <= self.0.room
-    }
 }

@@ -5,10 +5,12 @@
 use core::arch::naked_asm;
 use core::mem::offset_of;
 
-use super::dense_dsp::{advance, follow};
+use super::dense_dsp::advance;
 use super::dense_times::{COARSE, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, RESTS};
+use super::dense_times_dsp::{follow, more, renew_distance, renew_first, rest};
 use super::dense_walk_state_dsp::Walk;
 use super::range::Probability;
+use super::range_dsp::{at, carry, learn, one, plain, renew, renew_twice, symbol, zero};
 use super::symbols::Symbols;
 use crate::group::Entry;
 use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
@@ -28,117 +30,6 @@ const _: () = assert!(SLOTS_MAX < 1 << 15 && NO_SLOT >= 1 << 15 && NEXT_SHIFT ==
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Probability>() == 2);
 const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, head) == 0);
 const _: () = assert!(COARSE == 15 && RESTS == 6 && FIRST_BITS == 5);
-
-unsafe extern "C" fn renew_first(table: &mut Symbols<FIRST_SYMBOLS>) {
-    table.renew();
-}
-
-unsafe extern "C" fn renew_distance(table: &mut Symbols<DISTANCES>) {
-    table.renew();
-}
-
-/// A byte, where the range has become short; overwrites r2.
-macro_rules! renew {
-    () => {
-        "cmp r8, #0x1000000
-        bhs 97f
-        lsr r2, r9, #24
-        strb r2, [r10], #1
-        lsls r9, r9, #8
-        lsls r8, r8, #8
-        97:
-        "
-    };
-}
-
-/// Two of them at the most.
-macro_rules! renew_twice {
-    () => {
-        "cmp r8, #0x1000000
-        bhs 97f
-        lsr r2, r9, #24
-        strb r2, [r10], #1
-        lsls r9, r9, #8
-        lsls r8, r8, #8
-        cmp r8, #0x1000000
-        bhs 97f
-        lsr r2, r9, #24
-        strb r2, [r10], #1
-        lsls r9, r9, #8
-        lsls r8, r8, #8
-        97:
-        "
-    };
-}
-
-/// Adds to the low end; lr is overwritten.
-macro_rules! add {
-    ($more:literal) => {
-        concat!("adds r9, r9, ", $more, "\nbcc 98f\nbl 99f\n98:\n")
-    };
-}
-
-/// One more in the last of the bytes written.
-macro_rules! carry {
-    () => {
-        "99:
-        push {{r0, r1, r2}}
-        mov r0, r10
-        ldr r2, [r11, #{start}]
-        89:
-        cmp r0, r2
-        beq 88f
-        ldrb r1, [r0, #-1]!
-        adds r1, #1
-        strb r1, [r0]
-        lsls r1, r1, #24
-        beq 89b
-        88:
-        pop {{r0, r1, r2}}
-        bx lr"
-    };
-}
-
-/// A decision of which the probability is at r0; r1 to r3 and r12 are overwritten.
-macro_rules! one {
-    () => {
-        concat!(
-            "ldrh r1, [r0]\n",
-            "lsr r2, r8, #13\n",
-            "lsr r3, r1, #3\n",
-            "and r12, r1, #7\n",
-            "mul r8, r2, r3\n",
-            "ldrh r12, [r11, r12, lsl #1]\n",
-            "rsb r2, r3, #8192\n",
-            "mul r2, r2, r12\n",
-            "add r3, r3, r2, lsr #16\n",
-            "bfi r12, r3, #3, #13\n",
-            "strh r12, [r0]\n",
-            renew!(),
-        )
-    };
-}
-
-/// The same of a zero, and lr.
-macro_rules! zero {
-    () => {
-        concat!(
-            "ldrh r1, [r0]\n",
-            "lsr r2, r8, #13\n",
-            "lsr r3, r1, #3\n",
-            "and r12, r1, #7\n",
-            "mul r2, r2, r3\n",
-            "ldrh r12, [r11, r12, lsl #1]\n",
-            "sub r8, r8, r2\n",
-            add!("r2"),
-            "mul r2, r3, r12\n",
-            "sub r3, r3, r2, lsr #16\n",
-            "bfi r12, r3, #3, #13\n",
-            "strh r12, [r0]\n",
-            renew!(),
-        )
-    };
-}
 
 /// What column r5 sees, at the top of which `$quiet` is where it goes on if that is nothing; r0: context
 /// of whether it has events.
@@ -163,137 +54,6 @@ macro_rules! see {
             $old,
         )
     };
-}
-
-/// From its share of a symbol's table on: r12 is its begin and r2 its end, the range that of a share.
-macro_rules! symbol {
-    () => {
-        concat!(
-            "sub r2, r2, r12\n",
-            "mul r12, r12, r8\n",
-            "mul r8, r8, r2\n",
-            add!("r12"),
-            renew_twice!(),
-        )
-    };
-}
-
-/// The lowest r3 bits of a register, as they are; overwrites r2.
-macro_rules! plain {
-    ($value:literal) => {
-        concat!(
-            "lsr r2, ",
-            $value,
-            ", r3\n",
-            "lsls r2, r3\n",
-            "sub r2, ",
-            $value,
-            ", r2\n",
-            "lsrs r8, r3\n",
-            "mul r2, r2, r8\n",
-            add!("r2"),
-            renew_twice!(),
-        )
-    };
-}
-
-/// Learns from symbol r1 of table r0.
-macro_rules! learn {
-    ($counts:literal, $left:literal, $renew:literal) => {
-        concat!(
-            "add r1, r1, r0\n",
-            "ldrb r2, [r1, #",
-            $counts,
-            "]\n",
-            "adds r2, #1\n",
-            "strb r2, [r1, #",
-            $counts,
-            "]\n",
-            "ldrb r2, [r0, #",
-            $left,
-            "]\n",
-            "subs r2, #1\n",
-            "strb r2, [r0, #",
-            $left,
-            "]\n",
-            "bne 95f\n",
-            "bl ",
-            $renew,
-            "\n",
-            "95:\n",
-        )
-    };
-}
-
-/// From a part of the context of whether there is another event in r1 to its probability's place in r0.
-macro_rules! more {
-    () => {
-        concat!(
-            "ldrd r2, r3, [r11, #{west_last}]\n",
-            "lsl r12, r6, #1\n",
-            "add r12, r12, #2\n",
-            "cmp r3, r12\n",
-            "adcs r1, r1\n",
-            "cmp r2, r12\n",
-            "adcs r1, r1\n",
-            "lsrs r0, r7, #1\n",
-            "adcs r1, r1\n",
-            "ldr r0, [r11, #{more}]\n",
-            "add r0, r0, r1, lsl #1\n",
-        )
-    };
-}
-
-/// Six times what is left of the window, in r1.
-macro_rules! rest {
-    () => {
-        concat!(
-            "ldrd r2, r1, [r11, #{half}]\n",
-            "subs r1, r1, r6\n",
-            "clz r1, r1\n",
-            // Of all of a window whose cells are a power of two, there is one less.
-            "subs r1, r1, r2\n",
-            "usat r1, #4, r1\n",
-            "rsb r1, r1, #{rests} - 1\n",
-            "usat r1, #5, r1\n",
-            "add r1, r1, r1, lsl #1\n",
-            "lsls r1, r1, #1\n",
-        )
-    };
-}
-
-const fn at(offset: usize) -> usize {
-    offset - offset_of!(Walk, rates)
-}
-
-/// A decision.
-///
-/// # Safety
-/// There is room for a byte at `walk.out`.
-#[unsafe(naked)]
-pub(super) unsafe extern "C" fn decide(walk: &mut Walk, probability: &mut Probability, bit: u32) {
-    naked_asm!(
-        "push {{r8-r11, lr}}",
-        "add r11, r0, #{rates}",
-        "mov r0, r1",
-        "ldrd r8, r9, [r11, #{range}]",
-        "ldr r10, [r11, #{out}]",
-        "cmp r2, #0",
-        "bne 1f",
-        zero!(),
-        "b 2f",
-        "1:",
-        one!(),
-        "2:",
-        "strd r8, r9, [r11, #{range}]",
-        "str r10, [r11, #{out}]",
-        "pop {{r8-r11, pc}}",
-        carry!(),
-        rates = const offset_of!(Walk, rates),
-        range = const at(offset_of!(Walk, range)),
-        out = const at(offset_of!(Walk, out)),
-        start = const at(offset_of!(Walk, start)),
-    )
 }
 
 /// Adds to the first register what a word in the second has of bits: 0, 1, 2 to 3, or more, as 0 to 3;
@@ -482,13 +242,15 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
     naked_asm!(
         // | r4 | r5 | r6 | r7 | r8 | r9 | r10 | r11 |
         // |---|---|---|---|---|---|---|---|
-        // | left | column | the next with events | its slot | range | low | out | rates |
+        // | see below | column | the next with events | its slot | range | low | out | rates |
         "push {{r3-r11, lr}}",
         "add r11, r0, #{rates}",
         "ldrd r8, r9, [r11, #{range}]",
         "ldr r10, [r11, #{out}]",
         "ldr r4, [r11, #{left}]",
-                "b 50f",
+        "subs r4, #1",
+        "lsls r4, r4, #1",
+        "b 50f",
         "5:",
         "movs r5, #0",
         // The next pixel.
@@ -560,8 +322,7 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "lsrs r8, r8, #16",
         "mul r8, r8, r0",
         "subs r0, r6, r5",
-        "mul r0, r0, r8",
-        add!("r0"),
+        "umlal r9, r4, r0, r8",
         renew!(),
         "mov r5, r6",
         "ldr r0, [r11, #{west_on}]",
@@ -651,8 +412,8 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         symbol!(),
         plain!("r6"),
         learn!("{first_counts}", "{first_left}", "{renew_first}"),
-        "subs r4, #1",
-        "beq 72f",
+        "subs r4, #2",
+        "blo 72f",
         "ldr r1, [r11, #{room}]",
         "cmp r10, r1",
         "bhi 73f",
@@ -767,8 +528,8 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         plain!("r5"),
         learn!("{distance_counts}", "{distance_left}", "{renew_distance}"),
         "add r6, r6, r5",
-        "subs r4, #1",
-        "beq 76f",
+        "subs r4, #2",
+        "blo 76f",
         "ldr r1, [r11, #{room}]",
         "cmp r10, r1",
         "bhi 74f",
@@ -790,24 +551,14 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "48:",
         one!(),
         "b 41b",
-        // The events of a pixel in a row that follows.
+        // A pixel in a row that follows.
         "80:",
-        "strd r8, r9, [r11, #{range}]",
-        "str r10, [r11, #{out}]",
-        "str r4, [r11, #{left}]",
         "str r5, [r11, #{column}]",
-        "ldr r0, [r11, #{advance_to}]",
-        "sub r1, r11, #{rates}",
-        "mov r2, r6",
-        "mov r3, r7",
         "bl {follow}",
-        "ldrd r8, r9, [r11, #{range}]",
-        "ldr r10, [r11, #{out}]",
-        "ldr r4, [r11, #{left}]",
+        "ldr r5, [r11, #{column}]",
         "cmp r0, #0",
-        "bne 75f",
-        "adds r5, #1",
-        "b 1b",
+        "beq 34b",
+        "b 77f",
         // Whether a pixel's events are in order. r12: the next slot; r2: time of the one before.
         "60:",
         "ldr r2, [r7]",
@@ -850,11 +601,17 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "77:",
         "str r7, [r11, #{link}]",
         "75:",
+        "lsls r2, r4, #31",
+        "bpl 78f",
+        "bl {carry}",
+        "78:",
+        "asrs r4, r4, #1",
+        "adds r4, #1",
         "strd r8, r9, [r11, #{range}]",
         "str r10, [r11, #{out}]",
         "str r4, [r11, #{left}]",
         "pop {{r3-r11, pc}}",
-        carry!(),
+        carry = sym carry,
         renew_first = sym renew_first,
         renew_distance = sym renew_distance,
         rates = const offset_of!(Walk, rates),
@@ -872,7 +629,6 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         of_last_more = const at(offset_of!(Walk, of_last_more)),
         range = const at(offset_of!(Walk, range)),
         out = const at(offset_of!(Walk, out)),
-        start = const at(offset_of!(Walk, start)),
         room = const at(offset_of!(Walk, room)),
         pixel_room = const at(offset_of!(Walk, pixel_room)),
         told = const at(offset_of!(Walk, told)),

@@ -5,7 +5,8 @@ use core::ptr::{null, null_mut};
 
 use super::dense_dsp::Advance;
 use super::dense_times::{
-    Clock, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LASTS, OF_LAST, OF_LAST_LATE, OF_LAST_MORE,
+    Clock, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LASTS, LENGTHS, OF_LAST, OF_LAST_LATE,
+    OF_LAST_MORE, OF_NEAR, PREFIX_CONTEXTS,
 };
 use super::range::{Probability, RATES};
 use super::symbols::Symbols;
@@ -33,6 +34,8 @@ pub struct Walk {
     pub(super) of_last_late: [u8; 16],
     /// The same of whether there is another.
     pub(super) of_last_more: [u8; 16],
+    /// Of the bits of a neighbour's distance: twice its context.
+    pub(super) of_near: [u8; 20],
     pub(super) range: u32,
     pub(super) low: u32,
     pub(super) out: *mut u8,
@@ -117,10 +120,19 @@ pub struct Walk {
     pub(super) all_lists: *mut u32,
     pub(super) all_lasts: *mut u32,
     pub(super) columns_told: *mut u32,
-    pub(super) advance: *mut Advance<'static, 'static, 'static>,
+    pub(super) advance: *mut Advance<'static, 'static>,
     /// Whether the row follows, 1 or 0, and the list that the column had before.
     pub(super) follows: u32,
     pub(super) north_list: u32,
+    /// In such a row: slots of the next events to the west and north of the pixel at hand, 0 for none.
+    pub(super) near: [u32; 2],
+    pub(super) prefixes: *mut [Probability; PREFIX_CONTEXTS],
+    pub(super) lengths: *mut [Probability; LENGTHS],
+    /// Bits of the longest distance that is shorter than all that have a length.
+    pub(super) short: u32,
+    /// Whether it is counted what following is worth, and where.
+    pub(super) tries: u32,
+    pub(super) trials: *mut u16,
 }
 
 impl Walk {
@@ -138,6 +150,7 @@ impl Walk {
             of_last: OF_LAST_TWICE[0],
             of_last_late: OF_LAST_TWICE[1],
             of_last_more: OF_LAST_MORE,
+            of_near: OF_NEAR_TWICE,
             range: 0,
             low: 0,
             out: null_mut(),
@@ -205,6 +218,12 @@ impl Walk {
             advance: null_mut(),
             follows: 0,
             north_list: 0,
+            near: [0; 2],
+            prefixes: null_mut(),
+            lengths: null_mut(),
+            short: clock.bits.saturating_sub(LENGTHS as u32 - 1),
+            tries: 0,
+            trials: null_mut(),
         }
     }
 }
@@ -236,3 +255,12 @@ const fn of_last(is_late: bool) -> [u8; 16] {
 }
 
 const OF_LAST_TWICE: [[u8; 16]; 2] = [of_last(false), of_last(true)];
+
+const OF_NEAR_TWICE: [u8; 20] = {
+    let (mut contexts, mut i) = ([0; 20], 0);
+    while i < OF_NEAR.len() {
+        contexts[i] = 2 * OF_NEAR[i];
+        i += 1;
+    }
+    contexts
+};

@@ -15,6 +15,8 @@ pub mod dense;
 pub(crate) mod dense_dsp;
 mod dense_times;
 #[cfg(eecvs_dsp)]
+mod dense_times_dsp;
+#[cfg(eecvs_dsp)]
 mod dense_walk_dsp;
 #[cfg(eecvs_dsp)]
 mod dense_walk_state_dsp;
@@ -23,6 +25,8 @@ pub mod model;
 mod neighbourhood;
 pub mod order;
 pub mod range;
+#[cfg(eecvs_dsp)]
+mod range_dsp;
 pub mod scan;
 pub mod symbols;
 pub mod times;
