@@ -231,9 +231,6 @@ impl<'b> Dense<'b> {
         let row = self.row(y);
         let rows = self.rows_around(y);
         let following = self.model.times.following(y);
-        let mut around = Around::default();
-        around.go_on((0, 0), &self.east(&rows, 0, false));
-        around.go_on((0, 0), &self.east(&rows, 0, true));
         let mut segment = 0;
         let mut goes_on = true;
         let mut begun = None;
@@ -251,7 +248,6 @@ impl<'b> Dense<'b> {
                     last_on: walked.last_on,
                 };
                 if walked.goes_on {
-                    around = self.around(&rows, row, segment);
                     begun = walked.column.map(|column| (column, made));
                 } else {
                     goes_on = false;
@@ -262,6 +258,7 @@ impl<'b> Dense<'b> {
                 }
             }
         }
+        let mut around = self.around(&rows, row, segment);
         while goes_on && segment < stride {
             let is_begun = begun.is_some();
             let (from, mut made) = begun.take().unwrap_or_default();
@@ -288,8 +285,8 @@ impl<'b> Dense<'b> {
     }
 
     /// What is seen at a segment, those before which have been coded.
-    #[cfg(eecvs_dsp)]
-    #[cold]
+    #[cfg_attr(eecvs_dsp, cold)]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn around(&self, rows: &Rows, row: usize, segment: usize) -> Around {
         let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
         let mut around = Around::default();
@@ -322,9 +319,9 @@ impl<'b> Dense<'b> {
             north_on: row_of(first_on, rows.first_north, stride),
             far_north: row_of(occupied, rows.far_north, stride),
             south: row_of(occupied, rows.south, stride),
-            here: row_of(occupied, row, stride),
-            here_on: row_of(first_on, rows.first_here, stride),
-            last_here: row_of(last_on, row, stride),
+            here: row_of(occupied, row, stride)?,
+            here_on: row_of(first_on, rows.first_here, stride)?,
+            last_here: row_of(last_on, row, stride)?,
         };
         let coder = coder.parts()?;
         let (learned, lists) = (&mut *self.model, (&mut *self.lists, &mut *self.lasts));
@@ -517,8 +514,8 @@ const NO_ROW: usize = usize::MAX / 2;
 
 #[cfg(eecvs_dsp)]
 #[inline(always)]
-fn row_of(words: &[Cell<u32>], row: usize, stride: usize) -> &[Cell<u32>] {
-    words.get(row..row + stride).unwrap_or_default()
+fn row_of(words: &[Cell<u32>], row: usize, stride: usize) -> Option<&[Cell<u32>]> {
+    words.get(row..)?.get(..stride)
 }
 
 /// What a segment was made of.

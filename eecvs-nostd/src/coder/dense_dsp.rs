@@ -113,30 +113,24 @@ impl Walk {
         has_previous: bool,
     ) -> Walked {
         let stride = width.div_ceil(SEGMENT_PIXELS as usize);
-        let seen = [words.north, words.north_on, words.far_north, words.south];
-        let made = [words.here, words.here_on, words.last_here];
-        if stride == 0
+        if stride != words.here.len()
+            || stride == 0
             || stride > ZEROS.len()
-            || made.into_iter().any(|row| row.len() < stride)
-            || seen
-                .into_iter()
-                .any(|row| !row.is_empty() && row.len() < stride)
             || lists.len() < width
             || lasts.len() < width
         {
             return Walked::NOTHING;
         }
-        [
-            self.north_row,
-            self.north_on_row,
-            self.far_north_row,
-            self.south_row,
-        ] = seen.map(|row| match row.len() {
-            0 => ZEROS.as_ptr(),
-            _ => row.as_ptr().cast::<u32>(),
-        });
-        [self.here_row, self.here_on_row, self.last_on_row] =
-            made.map(|row| row.as_ptr().cast::<u32>().cast_mut());
+        let seen =
+            |row: Option<&[Cell<u32>]>| row.map_or(ZEROS.as_ptr(), |row| row.as_ptr().cast());
+        self.north_row = seen(words.north);
+        self.north_on_row = seen(words.north_on);
+        self.far_north_row = seen(words.far_north);
+        self.south_row = seen(words.south);
+        let made = |row: &[Cell<u32>]| row.as_ptr().cast::<u32>().cast_mut();
+        self.here_row = made(words.here);
+        self.here_on_row = made(words.here_on);
+        self.last_on_row = made(words.last_here);
         let out = coder.out.as_mut_ptr();
         let end = out.wrapping_add(coder.out.len());
         (self.range, self.low) = (*coder.range, *coder.low);
@@ -240,14 +234,14 @@ impl Walk {
     }
 }
 
-/// Words of the rows around one; no words where there is no row.
+/// Words of the rows around one, each with all its segments.
 pub struct Words<'r> {
     /// Of the row above: occupied columns, and polarities of first events.
-    pub north: &'r [Cell<u32>],
-    pub north_on: &'r [Cell<u32>],
+    pub north: Option<&'r [Cell<u32>]>,
+    pub north_on: Option<&'r [Cell<u32>]>,
     /// The one above that, and the one below in the window before.
-    pub far_north: &'r [Cell<u32>],
-    pub south: &'r [Cell<u32>],
+    pub far_north: Option<&'r [Cell<u32>]>,
+    pub south: Option<&'r [Cell<u32>]>,
     /// Here, where those of the window before are, and the polarities of last events.
     pub here: &'r [Cell<u32>],
     pub here_on: &'r [Cell<u32>],

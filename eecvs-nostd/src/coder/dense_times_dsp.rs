@@ -6,8 +6,8 @@ use core::arch::naked_asm;
 use core::mem::offset_of;
 
 use super::dense_times::{
-    DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LENGTHS, LOOK_AHEAD, NEARS, PREFIX_CONTEXTS, PREFIX_FIRST,
-    PREFIX_LENGTHS, RESTS, TRIAL_LENGTH, TRIALS_MAX, Times,
+    DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LENGTHS, LOOK_AHEAD, NEARS, PREFIX_CONTEXTS,
+    PREFIX_FIRST, PREFIX_LENGTHS, TRIAL_LENGTH, TRIALS_MAX, Times,
 };
 use super::dense_walk_dsp::{DONE, FULL, OVER};
 use super::dense_walk_state_dsp::Walk;
@@ -52,16 +52,10 @@ macro_rules! more {
 macro_rules! rest {
     () => {
         concat!(
-            "ldrd r2, r1, [r11, #{half}]\n",
+            "ldrd r1, r2, [r11, #{cells}]\n",
             "subs r1, r1, r6\n",
             "clz r1, r1\n",
-            // Of all of a window whose cells are a power of two, there is one less.
-            "subs r1, r1, r2\n",
-            "usat r1, #4, r1\n",
-            "rsb r1, r1, #{rests} - 1\n",
-            "usat r1, #5, r1\n",
-            "add r1, r1, r1, lsl #1\n",
-            "lsls r1, r1, #1\n",
+            "ldrb r1, [r2, r1]\n",
         )
     };
 }
@@ -72,9 +66,21 @@ pub(super) use {more, rest};
 macro_rules! after {
     ($near:literal) => {
         concat!(
-            concat!("cmp ", $near, ", #0\nbeq 92f\n91:\nldrd r2, r3, [", $near, "]\n"),
+            concat!(
+                "cmp ",
+                $near,
+                ", #0\nbeq 92f\n91:\nldrd r2, r3, [",
+                $near,
+                "]\n"
+            ),
             "cmp r2, r6\nbhi 92f\nasrs r3, r3, #16\n",
-            concat!("add ", $near, ", r12, r3, lsl #3\nbpl 91b\nmovs ", $near, ", #0\n92:\n"),
+            concat!(
+                "add ",
+                $near,
+                ", r12, r3, lsl #3\nbpl 91b\nmovs ",
+                $near,
+                ", #0\n92:\n"
+            ),
         )
     };
 }
@@ -88,7 +94,15 @@ macro_rules! like {
             concat!("ldrd r2, r3, [", $near, "]\nasr ", $near, ", r3, #16\n"),
             "eors r3, r7\nlsls r3, r3, #31\nbmi 92f\n",
             "subs r2, r2, r6\nclz r3, r2\ncmp r3, r0\nbeq 24f\nb 93f\n92:\n",
-            concat!("cmp ", $near, ", #0\nblt 93f\nadd ", $near, ", r12, ", $near, ", lsl #3\n"),
+            concat!(
+                "cmp ",
+                $near,
+                ", #0\nblt 93f\nadd ",
+                $near,
+                ", r12, ",
+                $near,
+                ", lsl #3\n"
+            ),
             "subs lr, lr, #1\nbne 91b\n93:\n",
         )
     };
@@ -397,8 +411,7 @@ pub(super) unsafe extern "C" fn follow() {
         first_counts = const Symbols::<FIRST_SYMBOLS>::COUNTS_AT,
         first_left = const Symbols::<FIRST_SYMBOLS>::LEFT_AT,
         room = const at(offset_of!(Walk, room)),
-        half = const at(offset_of!(Walk, half)),
-        rests = const RESTS,
+        cells = const at(offset_of!(Walk, cells)),
         more = const at(offset_of!(Walk, more)),
         flips = const at(offset_of!(Walk, flips)),
         west_last = const at(offset_of!(Walk, west_last)),

@@ -647,7 +647,7 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         first = const at(offset_of!(Walk, first)),
         distances = const at(offset_of!(Walk, distances)),
         half = const at(offset_of!(Walk, half)),
-        rests = const RESTS,
+        cells = const at(offset_of!(Walk, cells)),
         fine = const at(offset_of!(Walk, fine)),
         old = const at(offset_of!(Walk, old)),
         later = const at(offset_of!(Walk, later)),

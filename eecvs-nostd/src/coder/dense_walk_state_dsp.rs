@@ -6,7 +6,7 @@ use core::ptr::{null, null_mut};
 use super::dense_dsp::Advance;
 use super::dense_times::{
     Clock, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LASTS, LENGTHS, OF_LAST, OF_LAST_LATE,
-    OF_LAST_MORE, OF_NEAR, PREFIX_CONTEXTS,
+    OF_LAST_MORE, OF_NEAR, PREFIX_CONTEXTS, RESTS,
 };
 use super::range::{Probability, RATES};
 use super::symbols::Symbols;
@@ -67,6 +67,8 @@ pub struct Walk {
     /// Leading zeros of what is left of the window where it is at least half.
     pub(super) half: u32,
     pub(super) cells: u32,
+    /// By the leading zeros of what is left of the window: six times its context.
+    pub(super) rests: *const u8,
     pub(super) fine: u32,
     /// 7 times `fine`, and 8.
     pub(super) fine_symbols: u32,
@@ -137,7 +139,7 @@ pub struct Walk {
 
 impl Walk {
     /// Before the first row of a frame, for these cells.
-    pub(super) const fn new(clock: &Clock) -> Self {
+    pub(super) fn new(clock: &Clock) -> Self {
         Self {
             west: 0,
             north_west: 0,
@@ -176,6 +178,12 @@ impl Walk {
             distances: null_mut(),
             half: 32 - clock.bits,
             cells: clock.cells,
+            // There are at least those of all of the window, less one: all of a window whose cells are a
+            // power of two.
+            rests: (&raw const RESTS_SIX)
+                .cast::<u8>()
+                .wrapping_add(1)
+                .wrapping_sub(32 - clock.bits as usize),
             fine: clock.fine,
             fine_symbols: 7 * clock.fine + 8,
             first_on: 0,
@@ -260,6 +268,16 @@ const OF_NEAR_TWICE: [u8; 20] = {
     let (mut contexts, mut i) = ([0; 20], 0);
     while i < OF_NEAR.len() {
         contexts[i] = 2 * OF_NEAR[i];
+        i += 1;
+    }
+    contexts
+};
+
+/// Of what is left of the window, from twice its power of two down: six times the context.
+static RESTS_SIX: [u8; 34] = {
+    let (mut contexts, mut i) = ([0; 34], 0);
+    while i < RESTS {
+        contexts[i] = 6 * (if i > 0 { RESTS - i } else { RESTS - 1 }) as u8;
         i += 1;
     }
     contexts
