@@ -29,6 +29,8 @@ pub mod range;
 mod range_dsp;
 pub mod scan;
 pub mod symbols;
+#[cfg(eecvs_dsp)]
+mod symbols_dsp;
 pub mod times;
 
 pub use cells::{Cells, Fidelity};
