@@ -323,20 +323,17 @@ impl<'b> Dense<'b> {
             here_on: row_of(first_on, rows.first_here, stride)?,
             last_here: row_of(last_on, row, stride)?,
         };
-        let coder = coder.parts()?;
-        let (learned, lists) = (&mut *self.model, (&mut *self.lists, &mut *self.lasts));
         let Frame { step, walk, coded } = frame;
-        let (walk, clock) = (walk.as_mut()?, step.clock()?);
-        let walked = content.with_parts(|parts| {
-            let place = (y, width, following);
-            walk.row(
-                (coder, parts),
-                (learned, clock),
-                lists,
-                &words,
-                place,
-                has_previous,
-            )
+        let walked = content.with_parts(dense_dsp::RowWalk {
+            walk: walk.as_mut()?,
+            coder: coder.parts()?,
+            model: &mut *self.model,
+            clock: step.clock()?,
+            lists: &mut *self.lists,
+            lasts: &mut *self.lasts,
+            words: &words,
+            place: (y, width, following),
+            has_previous,
         })?;
         coded.pixels += walked.pixels;
         coded.events += walked.events;

@@ -15,7 +15,7 @@ use super::dense_times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, Times};
 use super::dense_walk_dsp::{FLAG, FULL, LEFT, ROW, walk_row, walk_row_after};
 use super::dense_walk_state_dsp::Walk;
 use super::model::Model;
-use super::range::{FINISH_BYTES, RangeParts};
+use super::range::{FINISH_BYTES, PLAIN_BITS, RangeParts};
 use crate::event::Sensor;
 use crate::group::{Group, Pixel};
 use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS, Window};
@@ -30,6 +30,12 @@ pub struct Parts<'p, 'w> {
     pub(crate) pixel: &'p mut Option<Pixel>,
     pub(crate) at: &'p mut u32,
     pub(crate) rest: &'p mut u32,
+}
+
+/// What is done with an encoder's window: a closure that is always inlined.
+pub trait Walks {
+    /// Does it.
+    fn walk(self, parts: Parts<'_, '_>) -> Walked;
 }
 
 /// How far a row was coded.
@@ -90,28 +96,45 @@ pub(super) unsafe extern "C" fn advance(advance: &mut Advance<'_, '_>, occupied:
 
 /// Bytes that a segment's flags and an event take at the most, beyond what is asked for before an event.
 pub const FLAGS_BYTES_MAX: usize = 48;
-/// Bits of cells that the assembly takes at the most: their plain bits are coded at once.
-const BITS_MAX: u32 = 16;
+/// Bits of cells that the assembly takes at the most: the plain ones of a first cell are coded at once, and
+/// those of a distance, which are one more, at once but for the last.
+const BITS_MAX: u32 = FIRST_BITS + PLAIN_BITS;
 
 /// The row above the first.
 static ZEROS: [u32; SEGMENTS_MAX] = [0; SEGMENTS_MAX];
 /// Segments of the widest sensor's row.
 const SEGMENTS_MAX: usize = Sensor::SIDE_MAX as usize / SEGMENT_PIXELS as usize;
 
-impl Walk {
+/// What the walk over a row needs.
+pub(super) struct RowWalk<'r> {
+    pub(super) walk: &'r mut Walk,
+    pub(super) coder: RangeParts<'r>,
+    pub(super) model: &'r mut Model,
+    pub(super) clock: &'r mut Clock,
+    /// The sensor's.
+    pub(super) lists: &'r mut [u32],
+    pub(super) lasts: &'r mut [u32],
+    pub(super) words: &'r Words<'r>,
+    /// The row, how many columns it has, and what it does with its neighbours' times.
+    pub(super) place: (usize, usize, Following),
+    pub(super) has_previous: bool,
+}
+
+impl Walks for RowWalk<'_> {
     /// Codes all segments of a row, or those up to where it ends.
-    ///
-    /// `lists` and `lasts` are the sensor's.
     #[inline(always)]
-    pub(super) fn row(
-        &mut self,
-        (coder, parts): (RangeParts<'_>, Parts<'_, '_>),
-        (model, clock): (&mut Model, &mut Clock),
-        (lists, lasts): (&mut [u32], &mut [u32]),
-        words: &Words<'_>,
-        (y, width, following): (usize, usize, Following),
-        has_previous: bool,
-    ) -> Walked {
+    fn walk(self, parts: Parts<'_, '_>) -> Walked {
+        let Self {
+            walk,
+            coder,
+            model,
+            clock,
+            lists,
+            lasts,
+            words,
+            place: (y, width, following),
+            has_previous,
+        } = self;
         let stride = width.div_ceil(SEGMENT_PIXELS as usize);
         if stride != words.here.len()
             || stride == 0
@@ -123,42 +146,42 @@ impl Walk {
         }
         let seen =
             |row: Option<&[Cell<u32>]>| row.map_or(ZEROS.as_ptr(), |row| row.as_ptr().cast());
-        self.north_row = seen(words.north);
-        self.north_on_row = seen(words.north_on);
-        self.far_north_row = seen(words.far_north);
-        self.south_row = seen(words.south);
+        walk.north_row = seen(words.north);
+        walk.north_on_row = seen(words.north_on);
+        walk.far_north_row = seen(words.far_north);
+        walk.south_row = seen(words.south);
         let made = |row: &[Cell<u32>]| row.as_ptr().cast::<u32>().cast_mut();
-        self.here_row = made(words.here);
-        self.here_on_row = made(words.here_on);
-        self.last_on_row = made(words.last_here);
+        walk.here_row = made(words.here);
+        walk.here_on_row = made(words.here_on);
+        walk.last_on_row = made(words.last_here);
         let out = coder.out.as_mut_ptr();
         let end = out.wrapping_add(coder.out.len());
-        (self.range, self.low) = (*coder.range, *coder.low);
-        (self.start, self.out) = (out, out.wrapping_add(*coder.len));
-        self.room = end.wrapping_sub(FINISH_BYTES + EVENT_BYTES_MAX);
-        self.pixel_room = self.room.wrapping_sub(FLAGS_BYTES_MAX);
-        self.entries = parts.group.entries.as_mut_ptr();
-        self.slots = parts.window.slots().as_mut_ptr();
-        self.segments = model.segments.as_mut_ptr();
-        self.pixels = model.pixels.as_mut_ptr();
-        self.crowds = model.runs.as_mut_ptr().wrapping_add(31);
-        self.polarities = model.polarities.as_mut_ptr();
-        self.more = model.times.more.as_mut_ptr();
-        self.flips = model.times.flips.as_mut_ptr();
-        self.first = &raw mut model.times.first;
-        self.distances = model.times.distances.as_mut_ptr();
-        self.all_lists = lists.as_mut_ptr();
-        self.all_lasts = lasts.as_mut_ptr();
-        (self.segment, self.last_segment) = (0, stride as u32 - 1);
-        self.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
-        (self.made, self.made_on, self.last_on) = (0, 0, 0);
-        self.last_length = clock.last_length;
-        self.left = *parts.left;
-        self.follows = u32::from(following != Following::Not);
-        self.tries = u32::from(following == Following::Tries);
-        self.prefixes = model.times.prefixes.as_mut_ptr();
-        self.lengths = model.times.lengths.as_mut_ptr();
-        self.trials = (&raw mut model.times)
+        (walk.range, walk.low) = (*coder.range, *coder.low);
+        (walk.start, walk.out) = (out, out.wrapping_add(*coder.len));
+        walk.room = end.wrapping_sub(FINISH_BYTES + EVENT_BYTES_MAX);
+        walk.pixel_room = walk.room.wrapping_sub(FLAGS_BYTES_MAX);
+        walk.entries = parts.group.entries.as_mut_ptr();
+        walk.slots = parts.window.slots().as_mut_ptr();
+        walk.segments = model.segments.as_mut_ptr();
+        walk.pixels = model.pixels.as_mut_ptr();
+        walk.crowds = model.runs.as_mut_ptr().wrapping_add(31);
+        walk.polarities = model.polarities.as_mut_ptr();
+        walk.more = model.times.more.as_mut_ptr();
+        walk.flips = model.times.flips.as_mut_ptr();
+        walk.first = &raw mut model.times.first;
+        walk.distances = model.times.distances.as_mut_ptr();
+        walk.all_lists = lists.as_mut_ptr();
+        walk.all_lasts = lasts.as_mut_ptr();
+        (walk.segment, walk.last_segment) = (0, stride as u32 - 1);
+        walk.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
+        (walk.made, walk.made_on, walk.last_on) = (0, 0, 0);
+        walk.last_length = clock.last_length;
+        walk.left = *parts.left;
+        walk.follows = u32::from(following != Following::Not);
+        walk.tries = u32::from(following == Following::Tries);
+        walk.prefixes = model.times.prefixes.as_mut_ptr();
+        walk.lengths = model.times.lengths.as_mut_ptr();
+        walk.trials = (&raw mut model.times)
             .cast::<u8>()
             .wrapping_add(offset_of!(Times, trials))
             .cast();
@@ -167,9 +190,9 @@ impl Walk {
             y,
             pixels: 0,
         };
-        self.ahead = advance.segment();
-        self.columns_told = &raw mut advance.parts.group.columns;
-        self.advance = (&raw mut advance).cast();
+        walk.ahead = advance.segment();
+        walk.columns_told = &raw mut advance.parts.group.columns;
+        walk.advance = (&raw mut advance).cast();
         // SAFETY: the pointers are those of exclusive references that outlive the call, of cells that only
         // this writes while it runs, or of zeros, which it reads. The assembly reads and writes as many
         // words of the rows as there are segments; entries of columns below 32 and slots at their heads and
@@ -183,44 +206,44 @@ impl Walk {
         // have the instructions.
         let how = unsafe {
             if has_previous {
-                walk_row_after(self)
+                walk_row_after(walk)
             } else {
-                walk_row(self)
+                walk_row(walk)
             }
         };
         let Advance { parts, pixels, .. } = advance;
-        clock.last_length = self.last_length;
+        clock.last_length = walk.last_length;
         let mut walked = Walked {
-            segment: self.segment as usize,
+            segment: walk.segment as usize,
             column: None,
             occupied: 0,
             first_on: 0,
-            last_on: self.last_on,
+            last_on: walk.last_on,
             goes_on: true,
-            events: *parts.left - self.left,
+            events: *parts.left - walk.left,
             pixels,
         };
-        *parts.left = self.left;
-        (*coder.range, *coder.low) = (self.range, self.low);
+        *parts.left = walk.left;
+        (*coder.range, *coder.low) = (walk.range, walk.low);
         // Both are of one slice, the first not below the second.
-        *coder.len = self.out.addr() - out.addr();
+        *coder.len = walk.out.addr() - out.addr();
         match how {
             ROW => walked.segment += 1,
             FLAG => {}
             _ => {
-                parts.group.columns = self.told;
-                walked.occupied = self.told_all & !self.told;
-                walked.first_on = self.first_on;
-                walked.column = Some(self.column);
+                parts.group.columns = walk.told;
+                walked.occupied = walk.told_all & !walk.told;
+                walked.first_on = walk.first_on;
+                walked.column = Some(walk.column);
                 walked.pixels += walked.occupied.count_ones();
                 if how != LEFT {
                     walked.goes_on = false;
-                    walked.last_on |= (self.link & 1) << (self.column & 31);
+                    walked.last_on |= (walk.link & 1) << (walk.column & 31);
                 }
-                let next = self.link >> NEXT_SHIFT;
+                let next = walk.link >> NEXT_SHIFT;
                 if how == FULL && (next as usize) < parts.window.slots().len() {
                     *parts.pixel = Some(Pixel {
-                        x: (u32::from(SEGMENT_PIXELS) * self.segment + self.column) as u16,
+                        x: (u32::from(SEGMENT_PIXELS) * walk.segment + walk.column) as u16,
                         y: y as u16,
                         on: 0,
                         off: 0,

@@ -445,7 +445,7 @@ unsafe extern "C" fn prefix() {
         "subs r7, r0, #4",
         "1:",
         "eor r3, r5, r6",
-        "sub r0, lr, lr, lsr #4",
+        "usat r0, #4, lr",
         "sub lr, lr, #1",
         "lsls r3, r3, #1",
         "adcs r0, r0",

@@ -9,7 +9,7 @@ use super::dense_dsp::advance;
 use super::dense_times::{COARSE, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, RESTS};
 use super::dense_times_dsp::{follow, more, renew_distance, renew_first, rest};
 use super::dense_walk_state_dsp::Walk;
-use super::range::Probability;
+use super::range::{PLAIN_BITS, Probability};
 use super::range_dsp::{at, carry, learn, one, plain, renew, renew_twice, symbol, zero};
 use super::symbols::Symbols;
 use crate::group::Entry;
@@ -525,6 +525,9 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "ldrh r12, [r2]",
         "ldrh r2, [r2, #2]",
         symbol!(),
+        "cmp r3, #{plain_bits}",
+        "bhi 49f",
+        "39:",
         plain!("r5"),
         learn!("{distance_counts}", "{distance_left}", "{renew_distance}"),
         "add r6, r6, r5",
@@ -551,6 +554,14 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "48:",
         one!(),
         "b 41b",
+        // 13 plain bits: all but the last first.
+        "49:",
+        "ubfx r2, r5, #1, #{plain_bits}",
+        "lsrs r8, r8, #{plain_bits}",
+        "umlal r9, r4, r2, r8",
+        renew_twice!(),
+        "movs r3, #1",
+        "b 39b",
         // A pixel in a row that follows.
         "80:",
         "str r5, [r11, #{column}]",
@@ -618,6 +629,7 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         no_slot = const NO_SLOT,
         left_to = const LEFT,
         over = const OVER,
+        plain_bits = const PLAIN_BITS,
         full = const FULL,
         first_counts = const Symbols::<FIRST_SYMBOLS>::COUNTS_AT,
         first_left = const Symbols::<FIRST_SYMBOLS>::LEFT_AT,

@@ -164,24 +164,33 @@ macro_rules! learn {
 
 pub(super) use {learn, one, plain, renew, renew_twice, symbol, zero};
 
-/// One more in the last of the bytes written, and r4's lowest bit off; lr alone is overwritten.
+/// One more in the last of the bytes written, and r4's lowest bit off; r2 and lr alone are overwritten.
+///
+/// Low carries only where a byte was written, as the number is below 1.
 #[unsafe(naked)]
 pub(super) unsafe extern "C" fn carry() {
     naked_asm!(
-        "push {{r0, r1, r2}}",
-        "mov r0, r10",
-        "ldr r2, [r11, #{start}]",
+        "bic r4, r4, #1",
+        "ldrb r2, [r10, #-1]",
+        "adds r2, #1",
+        "strb r2, [r10, #-1]",
+        "lsls r2, r2, #24",
+        "beq 1f",
+        "bx lr",
         "1:",
+        "push {{r0, r1}}",
+        "sub r0, r10, #1",
+        "ldr r2, [r11, #{start}]",
+        "2:",
         "cmp r0, r2",
-        "beq 2f",
+        "beq 3f",
         "ldrb r1, [r0, #-1]!",
         "adds r1, #1",
         "strb r1, [r0]",
         "lsls r1, r1, #24",
-        "beq 1b",
-        "2:",
-        "bic r4, r4, #1",
-        "pop {{r0, r1, r2}}",
+        "beq 2b",
+        "3:",
+        "pop {{r0, r1}}",
         "bx lr",
         start = const at(offset_of!(Walk, start)),
     )
