@@ -10,12 +10,14 @@
 
 use core::cell::Cell;
 use core::mem::offset_of;
+use core::ptr::null_mut;
 
+use super::dense::{Begun, Made, row_of, rows};
 use super::dense_times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, Times};
-use super::dense_walk_dsp::{FLAG, FULL, LEFT, ROW, walk_row, walk_row_after};
+use super::dense_walk_dsp::{FLAG, FULL, LEFT, ROW_FLAG, ROWS, walk_rows, walk_rows_after};
 use super::dense_walk_state_dsp::Walk;
 use super::model::Model;
-use super::range::{FINISH_BYTES, PLAIN_BITS, RangeParts};
+use super::range::{FINISH_BYTES, PLAIN_BITS, Probability, RangeParts};
 use crate::event::Sensor;
 use crate::group::{Group, Pixel};
 use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS, Window};
@@ -38,46 +40,37 @@ pub trait Walks {
     fn walk(self, parts: Parts<'_, '_>) -> Walked;
 }
 
-/// How far a row was coded.
+/// How far rows were coded.
 pub struct Walked {
-    /// Its first segment that was not coded as a whole.
-    pub segment: usize,
-    /// That one's first column that was not visited; `None` where its flag was not coded.
-    pub column: Option<u32>,
-    /// What was made of it.
-    pub occupied: u32,
-    pub first_on: u32,
-    pub last_on: u32,
+    /// The first row that was not coded as a whole, beyond all where there is none.
+    pub y: usize,
+    /// Whether the one above it has events.
+    pub above_is_active: bool,
+    /// How far that row was coded, if its flag was.
+    pub(super) begun: Option<Begun>,
     /// Events and pixels coded.
     pub events: u32,
     pub pixels: u32,
-    /// The loop in Rust has to see to what is left; else the window's last event was coded, or the output
-    /// is full.
-    pub goes_on: bool,
 }
 
-impl Walked {
-    const NOTHING: Self = Self {
-        segment: 0,
-        column: None,
-        occupied: 0,
-        first_on: 0,
-        last_on: 0,
-        events: 0,
-        pixels: 0,
-        goes_on: true,
-    };
-}
-
-/// What the assembly does not do itself: going on to the next segment, and the events of pixels in rows
-/// that follow.
-pub(super) struct Advance<'p, 'w> {
+/// What the assembly does not do itself: going on to the next segment and to the next row.
+pub(super) struct Rows<'r, 'p, 'w> {
     parts: Parts<'p, 'w>,
+    words: Words<'r>,
+    stride: usize,
+    height: usize,
+    has_previous: bool,
+    /// The row at hand, the one after it, and whether it has events.
     y: usize,
+    next_y: usize,
+    is_active: bool,
+    above_is_active: bool,
     pixels: u32,
+    flags: *mut [Probability; 4],
+    times: *const Times,
 }
 
-impl Advance<'_, '_> {
+impl Rows<'_, '_, '_> {
     /// The next segment of the row that has events, beyond all where there is none.
     #[inline(always)]
     fn segment(&mut self) -> u32 {
@@ -86,12 +79,84 @@ impl Advance<'_, '_> {
             _ => u32::MAX,
         }
     }
+
+    /// Where a row's words begin.
+    #[inline(always)]
+    fn row(&self, y: usize) -> usize {
+        row_of(y, self.has_previous) * self.stride
+    }
+
+    #[inline(always)]
+    fn here(&self) -> &[Cell<u32>] {
+        let here = self.words.occupied.get(self.row(self.y)..);
+        let here = here.unwrap_or_default();
+        here.get(..self.stride).unwrap_or_default()
+    }
 }
 
 /// Counts the pixels of a segment and goes to the next that has events.
-pub(super) unsafe extern "C" fn advance(advance: &mut Advance<'_, '_>, occupied: u32) -> u32 {
-    advance.pixels += occupied.count_ones();
-    advance.segment()
+pub(super) unsafe extern "C" fn next_segment(rows: &mut Rows<'_, '_, '_>, occupied: u32) -> u32 {
+    rows.pixels += occupied.count_ones();
+    rows.segment()
+}
+
+/// Goes to the next row, of which `walk.ahead` is the first segment with events then; its flag's
+/// probability, null after the last row.
+pub(super) unsafe extern "C" fn next_row(
+    rows: &mut Rows<'_, '_, '_>,
+    walk: &mut Walk,
+) -> *mut Probability {
+    if rows.next_y > rows.y {
+        // The row at hand was coded.
+        if !rows.is_active {
+            rows.here().iter().for_each(|word| word.set(0));
+        }
+        rows.above_is_active = rows.is_active;
+    }
+    rows.y = rows.next_y;
+    if rows.y >= rows.height {
+        return null_mut();
+    }
+    rows.next_y = rows.y + 1;
+    let was_active = rows.has_previous && rows.here().iter().any(|word| word.get() != 0);
+    walk.ahead = rows.segment();
+    rows.is_active = walk.ahead != u32::MAX;
+    let context = usize::from(rows.above_is_active) + 2 * usize::from(was_active);
+    rows.flags.cast::<Probability>().wrapping_add(context)
+}
+
+/// Begins the row at hand.
+pub(super) unsafe extern "C" fn begin_row(rows: &mut Rows<'_, '_, '_>, walk: &mut Walk) {
+    let (y, stride) = (rows.y, rows.stride);
+    let occupied = rows.words.occupied.as_ptr().cast::<u32>();
+    let here = rows.row(y);
+    let above = |rows_above: usize| {
+        if y < rows_above {
+            ZEROS.as_ptr()
+        } else {
+            occupied.wrapping_add(rows.row(y - rows_above))
+        }
+    };
+    walk.north_row = above(1);
+    walk.far_north_row = above(2);
+    walk.south_row = if rows.has_previous && y + 1 < rows.height {
+        occupied.wrapping_add(here + stride)
+    } else {
+        ZEROS.as_ptr()
+    };
+    walk.here_row = occupied.wrapping_add(here).cast_mut();
+    let last_on = rows.words.last_on.as_ptr().cast::<u32>();
+    walk.last_on_row = last_on.wrapping_add(here).cast_mut();
+    let first_on = rows.words.first_on.as_ptr().cast::<u32>();
+    let first_here = (y % 2) * stride;
+    walk.here_on_row = first_on.wrapping_add(first_here).cast_mut();
+    walk.north_on_row = first_on.wrapping_add(stride - first_here);
+    walk.segment = 0;
+    (walk.made, walk.made_on, walk.last_on) = (0, 0, 0);
+    // SAFETY: nothing else has a reference to the times while this runs.
+    let following = unsafe { &*rows.times }.following(y);
+    walk.follows = u32::from(following != Following::Not);
+    walk.tries = u32::from(following == Following::Tries);
 }
 
 /// Bytes that a segment's flags and an event take at the most, beyond what is asked for before an event.
@@ -105,8 +170,8 @@ static ZEROS: [u32; SEGMENTS_MAX] = [0; SEGMENTS_MAX];
 /// Segments of the widest sensor's row.
 const SEGMENTS_MAX: usize = Sensor::SIDE_MAX as usize / SEGMENT_PIXELS as usize;
 
-/// What the walk over a row needs.
-pub(super) struct RowWalk<'r> {
+/// What the walk over rows needs.
+pub(super) struct RowsWalk<'r> {
     pub(super) walk: &'r mut Walk,
     pub(super) coder: RangeParts<'r>,
     pub(super) model: &'r mut Model,
@@ -114,14 +179,16 @@ pub(super) struct RowWalk<'r> {
     /// The sensor's.
     pub(super) lists: &'r mut [u32],
     pub(super) lasts: &'r mut [u32],
-    pub(super) words: &'r Words<'r>,
-    /// The row, how many columns it has, and what it does with its neighbours' times.
-    pub(super) place: (usize, usize, Following),
+    pub(super) words: Words<'r>,
+    pub(super) sensor: Sensor,
+    /// The first row, and whether the one above it has events.
+    pub(super) y: usize,
+    pub(super) above_is_active: bool,
     pub(super) has_previous: bool,
 }
 
-impl Walks for RowWalk<'_> {
-    /// Codes all segments of a row, or those up to where it ends.
+impl Walks for RowsWalk<'_> {
+    /// Codes rows up to where it ends.
     #[inline(always)]
     fn walk(self, parts: Parts<'_, '_>) -> Walked {
         let Self {
@@ -132,28 +199,31 @@ impl Walks for RowWalk<'_> {
             lists,
             lasts,
             words,
-            place: (y, width, following),
+            sensor,
+            y,
+            above_is_active,
             has_previous,
         } = self;
+        let (width, height) = (usize::from(sensor.width), usize::from(sensor.height));
         let stride = width.div_ceil(SEGMENT_PIXELS as usize);
-        if stride != words.here.len()
-            || stride == 0
+        let rows = stride * rows(sensor, has_previous);
+        let mut walked = Walked {
+            y,
+            above_is_active,
+            begun: None,
+            events: 0,
+            pixels: 0,
+        };
+        if stride == 0
             || stride > ZEROS.len()
+            || words.occupied.len() < rows
+            || words.last_on.len() < rows
+            || words.first_on.len() < 2 * stride
             || lists.len() < width
             || lasts.len() < width
         {
-            return Walked::NOTHING;
+            return walked;
         }
-        let seen =
-            |row: Option<&[Cell<u32>]>| row.map_or(ZEROS.as_ptr(), |row| row.as_ptr().cast());
-        walk.north_row = seen(words.north);
-        walk.north_on_row = seen(words.north_on);
-        walk.far_north_row = seen(words.far_north);
-        walk.south_row = seen(words.south);
-        let made = |row: &[Cell<u32>]| row.as_ptr().cast::<u32>().cast_mut();
-        walk.here_row = made(words.here);
-        walk.here_on_row = made(words.here_on);
-        walk.last_on_row = made(words.last_here);
         let out = coder.out.as_mut_ptr();
         let end = out.wrapping_add(coder.out.len());
         (walk.range, walk.low) = (*coder.range, *coder.low);
@@ -166,33 +236,42 @@ impl Walks for RowWalk<'_> {
         walk.pixels = model.pixels.as_mut_ptr();
         walk.crowds = model.runs.as_mut_ptr().wrapping_add(31);
         walk.polarities = model.polarities.as_mut_ptr();
-        walk.more = model.times.more.as_mut_ptr();
-        walk.flips = model.times.flips.as_mut_ptr();
-        walk.first = &raw mut model.times.first;
-        walk.distances = model.times.distances.as_mut_ptr();
-        walk.all_lists = lists.as_mut_ptr();
-        walk.all_lasts = lasts.as_mut_ptr();
-        (walk.segment, walk.last_segment) = (0, stride as u32 - 1);
-        walk.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
-        (walk.made, walk.made_on, walk.last_on) = (0, 0, 0);
-        walk.last_length = clock.last_length;
-        walk.left = *parts.left;
-        walk.follows = u32::from(following != Following::Not);
-        walk.tries = u32::from(following == Following::Tries);
-        walk.prefixes = model.times.prefixes.as_mut_ptr();
-        walk.lengths = model.times.lengths.as_mut_ptr();
-        walk.trials = (&raw mut model.times)
+        let times = &raw mut model.times;
+        // SAFETY: places in what the pointer is of.
+        unsafe {
+            walk.more = (&raw mut (*times).more).cast();
+            walk.flips = (&raw mut (*times).flips).cast();
+            walk.first = &raw mut (*times).first;
+            walk.distances = (&raw mut (*times).distances).cast();
+            walk.prefixes = (&raw mut (*times).prefixes).cast();
+            walk.lengths = (&raw mut (*times).lengths).cast();
+        }
+        walk.trials = times
             .cast::<u8>()
             .wrapping_add(offset_of!(Times, trials))
             .cast();
-        let mut advance = Advance {
+        walk.all_lists = lists.as_mut_ptr();
+        walk.all_lasts = lasts.as_mut_ptr();
+        walk.last_segment = stride as u32 - 1;
+        walk.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
+        walk.last_length = clock.last_length;
+        walk.left = *parts.left;
+        let mut rows = Rows {
             parts,
+            words,
+            stride,
+            height,
+            has_previous,
             y,
+            next_y: y,
+            is_active: false,
+            above_is_active,
             pixels: 0,
+            flags: &raw mut model.rows,
+            times,
         };
-        walk.ahead = advance.segment();
-        walk.columns_told = &raw mut advance.parts.group.columns;
-        walk.advance = (&raw mut advance).cast();
+        walk.columns_told = &raw mut rows.parts.group.columns;
+        walk.rows = (&raw mut rows).cast();
         // SAFETY: the pointers are those of exclusive references that outlive the call, of cells that only
         // this writes while it runs, or of zeros, which it reads. The assembly reads and writes as many
         // words of the rows as there are segments; entries of columns below 32 and slots at their heads and
@@ -200,75 +279,83 @@ impl Walks for RowWalk<'_> {
         // sensor's columns, and reads the last event to the west of one that has it, which is no sensor's
         // first. Its contexts are sums of bounded parts, as the twin's in Rust, and its symbols those of
         // cells below `clock.cells`, where those of a window's events are. It writes bytes from `out` on,
-        // where there is room for a segment's flags and first event from `pixel_room` on, and for another
-        // event from `room` on. `advance` and `follow` have the only references to the group, the window,
-        // the clock and the times while they run. The build script sets `eecvs_dsp` only for cores that
-        // have the instructions.
+        // where there is room for a row's and a segment's flags and first event from `pixel_room` on, and
+        // for another event from `room` on. `next_segment`, `next_row` and `begin_row` have the only
+        // references to the group, the window and the times while they run. The build script sets
+        // `eecvs_dsp` only for cores that have the instructions.
         let how = unsafe {
             if has_previous {
-                walk_row_after(walk)
+                walk_rows_after(walk)
             } else {
-                walk_row(walk)
+                walk_rows(walk)
             }
         };
-        let Advance { parts, pixels, .. } = advance;
-        clock.last_length = walk.last_length;
-        let mut walked = Walked {
-            segment: walk.segment as usize,
-            column: None,
-            occupied: 0,
-            first_on: 0,
-            last_on: walk.last_on,
-            goes_on: true,
-            events: *parts.left - walk.left,
+        let Rows {
+            parts,
             pixels,
-        };
+            y,
+            above_is_active,
+            ..
+        } = rows;
+        clock.last_length = walk.last_length;
+        walked.y = y;
+        walked.above_is_active = above_is_active;
+        walked.events = *parts.left - walk.left;
+        walked.pixels = pixels;
         *parts.left = walk.left;
         (*coder.range, *coder.low) = (walk.range, walk.low);
         // Both are of one slice, the first not below the second.
         *coder.len = walk.out.addr() - out.addr();
-        match how {
-            ROW => walked.segment += 1,
-            FLAG => {}
-            _ => {
-                parts.group.columns = walk.told;
-                walked.occupied = walk.told_all & !walk.told;
-                walked.first_on = walk.first_on;
-                walked.column = Some(walk.column);
-                walked.pixels += walked.occupied.count_ones();
-                if how != LEFT {
-                    walked.goes_on = false;
-                    walked.last_on |= (walk.link & 1) << (walk.column & 31);
-                }
-                let next = walk.link >> NEXT_SHIFT;
-                if how == FULL && (next as usize) < parts.window.slots().len() {
-                    *parts.pixel = Some(Pixel {
-                        x: (u32::from(SEGMENT_PIXELS) * walk.segment + walk.column) as u16,
-                        y: y as u16,
-                        on: 0,
-                        off: 0,
-                        head: next,
-                    });
-                    (*parts.at, *parts.rest) = (next, 1);
-                }
+        if how == ROWS || how == ROW_FLAG {
+            return walked;
+        }
+        let mut begun = Begun {
+            segment: walk.segment as usize,
+            column: None,
+            made: Made {
+                last_on: walk.last_on,
+                ..Made::default()
+            },
+            goes_on: true,
+            following: match (walk.follows, walk.tries) {
+                (0, _) => Following::Not,
+                (_, 0) => Following::Does,
+                _ => Following::Tries,
+            },
+        };
+        if how != FLAG {
+            parts.group.columns = walk.told;
+            begun.made.occupied = walk.told_all & !walk.told;
+            begun.made.first_on = walk.first_on;
+            begun.column = Some(walk.column);
+            walked.pixels += begun.made.occupied.count_ones();
+            if how != LEFT {
+                begun.goes_on = false;
+                begun.made.last_on |= (walk.link & 1) << (walk.column & 31);
+            }
+            let next = walk.link >> NEXT_SHIFT;
+            if how == FULL && (next as usize) < parts.window.slots().len() {
+                *parts.pixel = Some(Pixel {
+                    x: (u32::from(SEGMENT_PIXELS) * walk.segment + walk.column) as u16,
+                    y: y as u16,
+                    on: 0,
+                    off: 0,
+                    head: next,
+                });
+                (*parts.at, *parts.rest) = (next, 1);
             }
         }
+        walked.begun = Some(begun);
         walked
     }
 }
 
-/// Words of the rows around one, each with all its segments.
-pub struct Words<'r> {
-    /// Of the row above: occupied columns, and polarities of first events.
-    pub north: Option<&'r [Cell<u32>]>,
-    pub north_on: Option<&'r [Cell<u32>]>,
-    /// The one above that, and the one below in the window before.
-    pub far_north: Option<&'r [Cell<u32>]>,
-    pub south: Option<&'r [Cell<u32>]>,
-    /// Here, where those of the window before are, and the polarities of last events.
-    pub here: &'r [Cell<u32>],
-    pub here_on: &'r [Cell<u32>],
-    pub last_here: &'r [Cell<u32>],
+/// Words of all rows that are kept: occupied columns, here and further on those of the window before, and
+/// the polarities of last events; and of the first ones, of two rows.
+pub(super) struct Words<'r> {
+    pub(super) occupied: &'r [Cell<u32>],
+    pub(super) last_on: &'r [Cell<u32>],
+    pub(super) first_on: &'r [Cell<u32>],
 }
 
 /// Whether a row's walk is made for these cells.

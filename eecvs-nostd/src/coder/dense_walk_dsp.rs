@@ -5,7 +5,7 @@
 use core::arch::naked_asm;
 use core::mem::offset_of;
 
-use super::dense_dsp::advance;
+use super::dense_dsp::{begin_row, next_row, next_segment};
 use super::dense_times::{COARSE, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, RESTS};
 use super::dense_times_dsp::{follow, more, renew_distance, renew_first, rest};
 use super::dense_walk_state_dsp::Walk;
@@ -21,9 +21,10 @@ pub(super) const DONE: u32 = 0;
 pub(super) const LEFT: u32 = 1;
 pub(super) const OVER: u32 = 2;
 pub(super) const FULL: u32 = 3;
-/// The same of a row: all its segments, and a segment's flag that is left to the loop in Rust.
-pub(super) const ROW: u32 = 4;
+/// The same of rows: all of them, and a segment's or a row's flag that is left to the loop in Rust.
+pub(super) const ROWS: u32 = 4;
 pub(super) const FLAG: u32 = 5;
+pub(super) const ROW_FLAG: u32 = 6;
 
 // What the assembly takes for granted.
 const _: () = assert!(SLOTS_MAX < 1 << 15 && NO_SLOT >= 1 << 15 && NEXT_SHIFT == 16);
@@ -127,8 +128,32 @@ macro_rules! row {
             "58:\n",
             "movs r0, #{flag}\n",
             "b 75f\n",
+            // The next row.
             "59:\n",
-            "movs r0, #{row_end}\n",
+            "ldr r0, [r11, #{rows}]\n",
+            "sub r1, r11, #{rates}\n",
+            "bl {next_row}\n",
+            "cmp r0, #0\n",
+            "beq 56f\n",
+            "ldr r12, [r11, #{pixel_room}]\n",
+            "cmp r10, r12\n",
+            "bhi 57f\n",
+            "ldr r1, [r11, #{ahead}]\n",
+            "adds r1, #1\n",
+            "bne 54f\n",
+            zero!(),
+            "b 59b\n",
+            "54:\n",
+            one!(),
+            "ldr r0, [r11, #{rows}]\n",
+            "sub r1, r11, #{rates}\n",
+            "bl {begin_row}\n",
+            "b 50b\n",
+            "56:\n",
+            "movs r0, #{rows_end}\n",
+            "b 75f\n",
+            "57:\n",
+            "movs r0, #{row_flag}\n",
             "b 75f\n",
             // One that has events: what its columns see.
             "52:\n",
@@ -220,9 +245,9 @@ macro_rules! row {
             "ldr r0, [r11, #{columns_told}]\n",
             "movs r1, #0\n",
             "str r1, [r0]\n",
-            "ldr r0, [r11, #{advance_to}]\n",
+            "ldr r0, [r11, #{rows}]\n",
             "ldr r1, [r11, #{told_all}]\n",
-            "bl {advance}\n",
+            "bl {next_segment}\n",
             "str r0, [r11, #{ahead}]\n",
             "ldrd r5, r6, [r11, #{segment}]\n",
             "ldr r0, [r11, #{told_all}]\n",
@@ -233,7 +258,7 @@ macro_rules! row {
     };
 }
 
-macro_rules! walk_row {
+macro_rules! walk_rows {
     ($name:ident, $see_old:expr, $polarity_old:expr, $last_old:expr, $row:expr) => {
 /// # Safety
 /// As `walk` has it.
@@ -250,7 +275,7 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "ldr r4, [r11, #{left}]",
         "subs r4, #1",
         "lsls r4, r4, #1",
-        "b 50f",
+        "b 59f",
         "5:",
         "movs r5, #0",
         // The next pixel.
@@ -691,12 +716,15 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         crowds = const at(offset_of!(Walk, crowds)),
         all_lists = const at(offset_of!(Walk, all_lists)),
         columns_told = const at(offset_of!(Walk, columns_told)),
-        advance_to = const at(offset_of!(Walk, advance)),
-        advance = sym advance,
+        rows = const at(offset_of!(Walk, rows)),
+        next_segment = sym next_segment,
+        next_row = sym next_row,
+        begin_row = sym begin_row,
         follow = sym follow,
         follows = const at(offset_of!(Walk, follows)),
         north_list = const at(offset_of!(Walk, north_list)),
-        row_end = const ROW,
+        rows_end = const ROWS,
+        row_flag = const ROW_FLAG,
         flag = const FLAG,
         left = const at(offset_of!(Walk, left)),
     )
@@ -704,15 +732,15 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
     };
 }
 
-walk_row!(
-    walk_row,
+walk_rows!(
+    walk_rows,
     "",
     "/* {old} {later} {old_on} {last_on} {south_row} {last_on_row} */",
     "",
     row!("", "lsls r3, r3, #4\n", "", "")
 );
-walk_row!(
-    walk_row_after,
+walk_rows!(
+    walk_rows_after,
     concat!(
         "ldrd r1, r2, [r11, #{old}]\n",
         "ldr r3, [r11, #{later} + 4]\n",

@@ -3,7 +3,7 @@
 
 use core::ptr::{null, null_mut};
 
-use super::dense_dsp::Advance;
+use super::dense_dsp::Rows;
 use super::dense_times::{
     Clock, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LASTS, LENGTHS, OF_LAST, OF_LAST_LATE,
     OF_LAST_MORE, OF_NEAR, PREFIX_CONTEXTS, RESTS,
@@ -122,7 +122,7 @@ pub struct Walk {
     pub(super) all_lists: *mut u32,
     pub(super) all_lasts: *mut u32,
     pub(super) columns_told: *mut u32,
-    pub(super) advance: *mut Advance<'static, 'static>,
+    pub(super) rows: *mut Rows<'static, 'static, 'static>,
     /// Whether the row follows, 1 or 0, and the list that the column had before.
     pub(super) follows: u32,
     pub(super) north_list: u32,
@@ -223,7 +223,7 @@ impl Walk {
             all_lists: null_mut(),
             all_lasts: null_mut(),
             columns_told: null_mut(),
-            advance: null_mut(),
+            rows: null_mut(),
             follows: 0,
             north_list: 0,
             near: [0; 2],
