@@ -29,7 +29,8 @@ pub(super) unsafe extern "C" fn renew_distance(table: &mut Symbols<DISTANCES>) {
     table.renew();
 }
 
-/// From a part of the context of whether there is another event in r1 to its probability's place in r0.
+/// From a part of the context of whether there is another event in r1 to its probability: number r0 from lr
+/// on.
 macro_rules! more {
     () => {
         concat!(
@@ -40,10 +41,9 @@ macro_rules! more {
             "adcs r1, r1\n",
             "cmp r2, r12\n",
             "adcs r1, r1\n",
-            "lsrs r0, r7, #1\n",
-            "adcs r1, r1\n",
-            "ldr r0, [r11, #{more}]\n",
-            "add r0, r0, r1, lsl #1\n",
+            "lsrs r2, r7, #1\n",
+            "adc r0, r1, r1\n",
+            "ldr lr, [r11, #{more}]\n",
         )
     };
 }
@@ -181,11 +181,11 @@ pub(super) unsafe extern "C" fn follow() {
         more!(),
         "asrs r1, r7, #16",
         "bpl 7f",
-        zero!(),
+        zero!("lr"),
         "movs r0, #{done}",
         "pop {{r3, pc}}",
         "7:",
-        one!(),
+        one!("lr"),
         "movs r1, #6",
         "movs r2, #36",
         "strd r1, r2, [r11, #{before}]",
@@ -213,15 +213,14 @@ pub(super) unsafe extern "C" fn follow() {
         "add r0, r0, r0, lsl #3",
         "adds r0, r0, r1",
         "adds r0, r0, r3",
-        "ldr r1, [r11, #{flips}]",
-        "add r0, r1, r0, lsl #1",
+        "ldr lr, [r11, #{flips}]",
         "ldr r1, [r5, #4]",
         "lsls r1, r1, #31",
         "bmi 11f",
-        zero!(),
+        zero!("lr"),
         "b 12f",
         "11:",
-        one!(),
+        one!("lr"),
         // Its distance: r5. lr: whether the polarity flips.
         "12:",
         "and r2, r7, #1",
@@ -359,11 +358,11 @@ pub(super) unsafe extern "C" fn follow() {
         more!(),
         "asrs r1, r7, #16",
         "bpl 29f",
-        zero!(),
+        zero!("lr"),
         "movs r0, #{done}",
         "pop {{r3, pc}}",
         "29:",
-        one!(),
+        one!("lr"),
         "b 8b",
         "30:",
         "movs r0, #{over}",

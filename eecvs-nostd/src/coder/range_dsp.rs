@@ -65,11 +65,18 @@ macro_rules! renew_twice {
     };
 }
 
-/// A decision of which the probability is at r0; r1 to r3 and r12 are overwritten.
+/// A decision of which the probability is at r0, or is number r0 from a register on; r1 to r3 and r12 are
+/// overwritten.
 macro_rules! one {
     () => {
+        one!(@ "[r0]")
+    };
+    ($from:literal) => {
+        one!(@ concat!("[", $from, ", r0, lsl #1]"))
+    };
+    (@ $place:expr) => {
         concat!(
-            "ldrh r1, [r0]\n",
+            concat!("ldrh r1, ", $place, "\n"),
             "lsr r2, r8, #13\n",
             "lsr r3, r1, #3\n",
             "and r12, r1, #7\n",
@@ -78,7 +85,7 @@ macro_rules! one {
             "rsb r2, r3, #8192\n",
             "smlawb r3, r12, r2, r3\n",
             "bfi r12, r3, #3, #13\n",
-            "strh r12, [r0]\n",
+            concat!("strh r12, ", $place, "\n"),
             renew!(),
         )
     };
@@ -87,8 +94,14 @@ macro_rules! one {
 /// The same of a zero.
 macro_rules! zero {
     () => {
+        zero!(@ "[r0]")
+    };
+    ($from:literal) => {
+        zero!(@ concat!("[", $from, ", r0, lsl #1]"))
+    };
+    (@ $place:expr) => {
         concat!(
-            "ldrh r1, [r0]\n",
+            concat!("ldrh r1, ", $place, "\n"),
             "lsr r2, r8, #13\n",
             "lsr r3, r1, #3\n",
             "and r12, r1, #7\n",
@@ -98,7 +111,7 @@ macro_rules! zero {
             "mul r2, r3, r12\n",
             "sub r3, r3, r2, lsr #16\n",
             "bfi r12, r3, #3, #13\n",
-            "strh r12, [r0]\n",
+            concat!("strh r12, ", $place, "\n"),
             renew!(),
         )
     };
