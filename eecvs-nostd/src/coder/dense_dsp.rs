@@ -1,11 +1,11 @@
-//! What the dense coder's walk in assembly, [`super::dense_walk_dsp`], begins a row with, and what it leaves
-//! to Rust: the same as [`super::dense`] and [`super::dense_times`] code, to the bit.
+//! What the dense coder's walk in assembly, [`super::dense_walk_dsp`], begins with, and what it leaves to
+//! Rust: the same as [`super::dense`] and [`super::dense_times`] code, to the bit.
 //!
 //! The compiler has fewer registers than the coder has state and keeps most of it on the stack. What an
 //! encoder knows beforehand also makes the walk shorter: which column is the next with events, so that
 //! the quiet ones before it need not be looked up, and what all columns see. The assembly leaves to the
-//! loop in Rust what it would have to look at twice: events out of order, and the end of the output; and
-//! to [`follow`] the events of pixels in rows that follow.
+//! loop in Rust what it would have to look at twice: events out of order, and the end of the output. Here
+//! it goes on to the next segment and to the next row.
 #![allow(unsafe_code)]
 
 use core::cell::Cell;

@@ -1,4 +1,4 @@
-//! The dense coder's walk over the segments of a row and their pixels' events in assembly, with the range
+//! The dense coder's walk over rows, their segments and their pixels' events in assembly, with the range
 //! coder's state in registers; [`super::dense_dsp`] hands it what it knows.
 #![allow(unsafe_code)]
 

@@ -45,7 +45,7 @@ impl<const N: usize> Symbols<N> {
     /// Whether assembly may move the shares: the table ends a turn of four symbols, or is one short of it,
     /// and never moves all of the way.
     #[cfg(eecvs_dsp)]
-    const IS_MOVED_BY_FOURS: bool = N >= 8 && (N % 4 == 1 || N % 4 == 0);
+    const IS_MOVED_BY_FOURS: bool = N >= 8 && N % 4 <= 1;
 
     const COUNT: u32 = {
         assert!(N >= 2 && N <= 256);
