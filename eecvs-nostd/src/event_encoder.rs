@@ -5,7 +5,7 @@ use crate::coder::big_bits::BigWriter;
 use crate::coder::content::{Content, Node};
 use crate::coder::dense::Dense;
 #[cfg(eecvs_dsp)]
-use crate::coder::dense_dsp::Parts;
+use crate::coder::dense_dsp::{Parts, Walked, Walks};
 use crate::coder::fast::{Fast, ROOM_WORDS, Unordered};
 use crate::coder::range::RangeEncoder;
 #[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
@@ -290,12 +290,12 @@ impl Content for Pixels<'_, '_, '_, '_> {
 
     #[cfg(eecvs_dsp)]
     #[inline(always)]
-    fn with_parts<R>(&mut self, walk: impl FnOnce(Parts<'_, '_>) -> R) -> Option<R> {
+    fn with_parts(&mut self, walk: impl Walks) -> Option<Walked> {
         if self.is_portable || !self.encoder.times.are_plain() {
             return None;
         }
         *self.encoder.is_rest = false;
-        Some(walk(Parts {
+        Some(walk.walk(Parts {
             group: &mut *self.encoder.group,
             window: &mut *self.encoder.window,
             left: &mut self.left,

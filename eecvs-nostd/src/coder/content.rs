@@ -35,10 +35,10 @@ pub trait Content {
     fn is_over(&self) -> bool;
     /// Hands an encoder's window, where its times are told as they are, to a walk that looks at it itself.
     #[cfg(eecvs_dsp)]
-    fn with_parts<R>(
+    fn with_parts(
         &mut self,
-        _walk: impl FnOnce(super::dense_dsp::Parts<'_, '_>) -> R,
-    ) -> Option<R> {
+        _walk: impl super::dense_dsp::Walks,
+    ) -> Option<super::dense_dsp::Walked> {
         None
     }
     /// An event of the pixels coded so far; `None` for [`END`].

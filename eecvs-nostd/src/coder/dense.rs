@@ -27,7 +27,7 @@ use core::cell::Cell;
 
 /// Rows of bits that are kept: all with those of the window before, and without them this one, two
 /// above, and one more, so that a row's place is cheap to find.
-const fn rows(sensor: Sensor, has_previous: bool) -> usize {
+pub(super) const fn rows(sensor: Sensor, has_previous: bool) -> usize {
     let height = sensor.height as usize;
     if has_previous || height < RING_ROWS {
         height
@@ -37,6 +37,12 @@ const fn rows(sensor: Sensor, has_previous: bool) -> usize {
 }
 
 const RING_ROWS: usize = 4;
+
+/// Which of them a row is.
+#[inline(always)]
+pub(super) const fn row_of(y: usize, has_previous: bool) -> usize {
+    if has_previous { y } else { y % RING_ROWS }
+}
 
 /// Memory lent to a [`Dense`] coder.
 #[derive(Debug)]
@@ -183,6 +189,24 @@ impl<'b> Dense<'b> {
             if content.is_over() {
                 break;
             }
+            #[cfg(not(eecvs_dsp))]
+            let begun = None;
+            #[cfg(eecvs_dsp)]
+            let mut begun = None;
+            #[cfg(eecvs_dsp)]
+            if frame.walk.is_some()
+                && let Some(walked) = self.walk_rows(
+                    (&mut *coder, &mut *content),
+                    (y, above_is_active),
+                    &mut frame,
+                )
+            {
+                (y, above_is_active) = (walked.y, walked.above_is_active);
+                if y >= height {
+                    break;
+                }
+                begun = walked.begun;
+            }
             let row = self.row(y);
             let was_active = self.has_previous
                 && words_at(self.occupied, row, self.stride)
@@ -190,10 +214,10 @@ impl<'b> Dense<'b> {
                     .any(|word| *word != 0);
             let context = usize::from(above_is_active) + 2 * usize::from(was_active);
             let flag = &mut self.model.rows[context];
-            let is_active = coder.bit(flag, content.has_row(y as u16));
+            let is_active = begun.is_some() || coder.bit(flag, content.has_row(y as u16));
             above_is_active = is_active;
             if is_active {
-                if !self.code_row(coder, content, y, &mut frame) {
+                if !self.code_row(coder, content, y, begun, &mut frame) {
                     y += 1;
                     break;
                 }
@@ -211,11 +235,7 @@ impl<'b> Dense<'b> {
 
     #[inline(always)]
     fn row(&self, y: usize) -> usize {
-        if self.has_previous {
-            y * self.stride
-        } else {
-            (y % RING_ROWS) * self.stride
-        }
+        row_of(y, self.has_previous) * self.stride
     }
 
     /// Whether there may be more after this row.
@@ -225,43 +245,35 @@ impl<'b> Dense<'b> {
         coder: &mut C,
         content: &mut T,
         y: usize,
+        row_begun: Option<Begun>,
         frame: &mut Frame<S>,
     ) -> bool {
         let stride = self.stride;
         let row = self.row(y);
         let rows = self.rows_around(y);
-        let following = self.model.times.following(y);
-        let mut around = Around::default();
-        around.go_on((0, 0), &self.east(&rows, 0, false));
-        around.go_on((0, 0), &self.east(&rows, 0, true));
+        let mut following = self.model.times.following(y);
         let mut segment = 0;
         let mut goes_on = true;
         let mut begun = None;
-        #[cfg(eecvs_dsp)]
-        if frame.walk.is_some() {
-            let all = (&mut *coder, &mut *content);
-            if let Some(walked) = self.walk_row(all, (y, row, &rows, following), frame) {
-                segment = walked.segment;
-                if walked.goes_on && segment >= stride {
-                    return true;
-                }
-                let made = Made {
-                    occupied: walked.occupied,
-                    first_on: walked.first_on,
-                    last_on: walked.last_on,
-                };
-                if walked.goes_on {
-                    around = self.around(&rows, row, segment);
-                    begun = walked.column.map(|column| (column, made));
-                } else {
-                    goes_on = false;
-                    set(self.occupied, row + segment, made.occupied);
-                    set(self.last_on, row + segment, made.last_on);
-                    set(self.first_on, rows.first_here + segment, made.first_on);
-                    segment += 1;
-                }
+        if let Some(Begun {
+            segment: at,
+            column,
+            made,
+            goes_on: is_more,
+            following: follows,
+        }) = row_begun
+        {
+            (segment, goes_on, following) = (at, is_more, follows);
+            if goes_on {
+                begun = column.map(|column| (column, made));
+            } else {
+                set(self.occupied, row + segment, made.occupied);
+                set(self.last_on, row + segment, made.last_on);
+                set(self.first_on, rows.first_here + segment, made.first_on);
+                segment += 1;
             }
         }
+        let mut around = self.around(&rows, row, segment);
         while goes_on && segment < stride {
             let is_begun = begun.is_some();
             let (from, mut made) = begun.take().unwrap_or_default();
@@ -288,8 +300,8 @@ impl<'b> Dense<'b> {
     }
 
     /// What is seen at a segment, those before which have been coded.
-    #[cfg(eecvs_dsp)]
-    #[cold]
+    #[cfg_attr(eecvs_dsp, cold)]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn around(&self, rows: &Rows, row: usize, segment: usize) -> Around {
         let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
         let mut around = Around::default();
@@ -303,43 +315,33 @@ impl<'b> Dense<'b> {
         around
     }
 
-    /// The segments of an encoder's row by [`dense_dsp`], as far as that goes.
+    /// An encoder's rows by [`dense_dsp`], as far as that goes.
     #[cfg(eecvs_dsp)]
     #[inline(never)]
-    fn walk_row<C: Binary, T: Content, S: Step<T>>(
+    fn walk_rows<C: Binary, T: Content, S: Step<T>>(
         &mut self,
         (coder, content): (&mut C, &mut T),
-        (y, row, rows, following): (usize, usize, &Rows, Following),
+        (y, above_is_active): (usize, bool),
         frame: &mut Frame<S>,
     ) -> Option<dense_dsp::Walked> {
-        let (stride, has_previous) = (self.stride, self.has_previous);
-        let width = usize::from(self.sensor.width);
-        let occupied = Cell::from_mut(&mut *self.occupied).as_slice_of_cells();
-        let last_on = Cell::from_mut(&mut *self.last_on).as_slice_of_cells();
-        let first_on = Cell::from_mut(&mut *self.first_on).as_slice_of_cells();
         let words = dense_dsp::Words {
-            north: row_of(occupied, rows.north, stride),
-            north_on: row_of(first_on, rows.first_north, stride),
-            far_north: row_of(occupied, rows.far_north, stride),
-            south: row_of(occupied, rows.south, stride),
-            here: row_of(occupied, row, stride),
-            here_on: row_of(first_on, rows.first_here, stride),
-            last_here: row_of(last_on, row, stride),
+            occupied: Cell::from_mut(&mut *self.occupied).as_slice_of_cells(),
+            last_on: Cell::from_mut(&mut *self.last_on).as_slice_of_cells(),
+            first_on: Cell::from_mut(&mut *self.first_on).as_slice_of_cells(),
         };
-        let coder = coder.parts()?;
-        let (learned, lists) = (&mut *self.model, (&mut *self.lists, &mut *self.lasts));
         let Frame { step, walk, coded } = frame;
-        let (walk, clock) = (walk.as_mut()?, step.clock()?);
-        let walked = content.with_parts(|parts| {
-            let place = (y, width, following);
-            walk.row(
-                (coder, parts),
-                (learned, clock),
-                lists,
-                &words,
-                place,
-                has_previous,
-            )
+        let walked = content.with_parts(dense_dsp::RowsWalk {
+            walk: walk.as_mut()?,
+            coder: coder.parts()?,
+            model: &mut *self.model,
+            clock: step.clock()?,
+            lists: &mut *self.lists,
+            lasts: &mut *self.lasts,
+            words,
+            sensor: self.sensor,
+            y,
+            above_is_active,
+            has_previous: self.has_previous,
         })?;
         coded.pixels += walked.pixels;
         coded.events += walked.events;
@@ -515,18 +517,27 @@ struct Rows {
 /// Beyond all words, and no segment's number leads from it to any.
 const NO_ROW: usize = usize::MAX / 2;
 
-#[cfg(eecvs_dsp)]
-#[inline(always)]
-fn row_of(words: &[Cell<u32>], row: usize, stride: usize) -> &[Cell<u32>] {
-    words.get(row..row + stride).unwrap_or_default()
+/// How far a walk in assembly has coded a row that it leaves to the loop here.
+#[cfg_attr(not(eecvs_dsp), allow(dead_code))]
+pub(super) struct Begun {
+    /// Its first segment that was not coded as a whole.
+    pub(super) segment: usize,
+    /// That one's first column that was not visited; `None` where its flag was not coded.
+    pub(super) column: Option<u32>,
+    /// What was made of it.
+    pub(super) made: Made,
+    /// Whether there is more to code; else the window's last event was coded, or the output is full.
+    pub(super) goes_on: bool,
+    /// What it does with its neighbours' times, as was decided at its begin.
+    pub(super) following: Following,
 }
 
 /// What a segment was made of.
 #[derive(Debug, Default)]
-struct Made {
-    occupied: u32,
-    first_on: u32,
-    last_on: u32,
+pub(super) struct Made {
+    pub(super) occupied: u32,
+    pub(super) first_on: u32,
+    pub(super) last_on: u32,
 }
 
 /// What goes on from pixel to pixel.

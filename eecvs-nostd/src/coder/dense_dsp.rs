@@ -1,27 +1,26 @@
-//! What the dense coder's walk in assembly, [`super::dense_walk_dsp`], begins a row with, and what it leaves
-//! to Rust: the same as [`super::dense`] and [`super::dense_times`] code, to the bit.
+//! What the dense coder's walk in assembly, [`super::dense_walk_dsp`], begins with, and what it leaves to
+//! Rust: the same as [`super::dense`] and [`super::dense_times`] code, to the bit.
 //!
 //! The compiler has fewer registers than the coder has state and keeps most of it on the stack. What an
 //! encoder knows beforehand also makes the walk shorter: which column is the next with events, so that
 //! the quiet ones before it need not be looked up, and what all columns see. The assembly leaves to the
-//! loop in Rust what it would have to look at twice: events out of order, and the end of the output; and
-//! to [`follow`] the events of pixels in rows that follow.
+//! loop in Rust what it would have to look at twice: events out of order, and the end of the output. Here
+//! it goes on to the next segment and to the next row.
 #![allow(unsafe_code)]
 
 use core::cell::Cell;
+use core::mem::offset_of;
+use core::ptr::null_mut;
 
-use super::content::{Content, Node};
-use super::dense_times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, Neighbour, Times};
-use super::dense_walk_dsp::{DONE, FLAG, FULL, LEFT, OVER, ROW, decide, walk_row, walk_row_after};
+use super::dense::{Begun, Made, row_of, rows};
+use super::dense_times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, Times};
+use super::dense_walk_dsp::{FLAG, FULL, LEFT, ROW_FLAG, ROWS, walk_rows, walk_rows_after};
 use super::dense_walk_state_dsp::Walk;
 use super::model::Model;
-use super::range::{
-    Binary, FINISH_BYTES, PLAIN_BITS, Probability, RANGE_MIN, RangeParts, SCALE, carry,
-};
-use super::symbols::Symbols;
+use super::range::{FINISH_BYTES, PLAIN_BITS, Probability, RangeParts};
 use crate::event::Sensor;
 use crate::group::{Group, Pixel};
-use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS, Slot, Window};
+use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS, Window};
 
 /// An encoder's window, and how far it is coded.
 pub struct Parts<'p, 'w> {
@@ -35,49 +34,43 @@ pub struct Parts<'p, 'w> {
     pub(crate) rest: &'p mut u32,
 }
 
-/// How far a row was coded.
+/// What is done with an encoder's window: a closure that is always inlined.
+pub trait Walks {
+    /// Does it.
+    fn walk(self, parts: Parts<'_, '_>) -> Walked;
+}
+
+/// How far rows were coded.
 pub struct Walked {
-    /// Its first segment that was not coded as a whole.
-    pub segment: usize,
-    /// That one's first column that was not visited; `None` where its flag was not coded.
-    pub column: Option<u32>,
-    /// What was made of it.
-    pub occupied: u32,
-    pub first_on: u32,
-    pub last_on: u32,
+    /// The first row that was not coded as a whole, beyond all where there is none.
+    pub y: usize,
+    /// Whether the one above it has events.
+    pub above_is_active: bool,
+    /// How far that row was coded, if its flag was.
+    pub(super) begun: Option<Begun>,
     /// Events and pixels coded.
     pub events: u32,
     pub pixels: u32,
-    /// The loop in Rust has to see to what is left; else the window's last event was coded, or the output
-    /// is full.
-    pub goes_on: bool,
 }
 
-impl Walked {
-    const NOTHING: Self = Self {
-        segment: 0,
-        column: None,
-        occupied: 0,
-        first_on: 0,
-        last_on: 0,
-        events: 0,
-        pixels: 0,
-        goes_on: true,
-    };
-}
-
-/// What the assembly does not do itself: going on to the next segment, and the events of pixels in rows
-/// that follow.
-pub(super) struct Advance<'r, 'p, 'w> {
+/// What the assembly does not do itself: going on to the next segment and to the next row.
+pub(super) struct Rows<'r, 'p, 'w> {
     parts: Parts<'p, 'w>,
+    words: Words<'r>,
+    stride: usize,
+    height: usize,
+    has_previous: bool,
+    /// The row at hand, the one after it, and whether it has events.
     y: usize,
+    next_y: usize,
+    is_active: bool,
+    above_is_active: bool,
     pixels: u32,
-    times: *mut Times,
-    clock: &'r mut Clock,
-    following: Following,
+    flags: *mut [Probability; 4],
+    times: *const Times,
 }
 
-impl Advance<'_, '_, '_> {
+impl Rows<'_, '_, '_> {
     /// The next segment of the row that has events, beyond all where there is none.
     #[inline(always)]
     fn segment(&mut self) -> u32 {
@@ -86,98 +79,199 @@ impl Advance<'_, '_, '_> {
             _ => u32::MAX,
         }
     }
+
+    /// Where a row's words begin.
+    #[inline(always)]
+    fn row(&self, y: usize) -> usize {
+        row_of(y, self.has_previous) * self.stride
+    }
+
+    #[inline(always)]
+    fn here(&self) -> &[Cell<u32>] {
+        let here = self.words.occupied.get(self.row(self.y)..);
+        let here = here.unwrap_or_default();
+        here.get(..self.stride).unwrap_or_default()
+    }
 }
 
 /// Counts the pixels of a segment and goes to the next that has events.
-pub(super) unsafe extern "C" fn advance(advance: &mut Advance<'_, '_, '_>, occupied: u32) -> u32 {
-    advance.pixels += occupied.count_ones();
-    advance.segment()
+pub(super) unsafe extern "C" fn next_segment(rows: &mut Rows<'_, '_, '_>, occupied: u32) -> u32 {
+    rows.pixels += occupied.count_ones();
+    rows.segment()
+}
+
+/// Goes to the next row, of which `walk.ahead` is the first segment with events then; its flag's
+/// probability, null after the last row.
+pub(super) unsafe extern "C" fn next_row(
+    rows: &mut Rows<'_, '_, '_>,
+    walk: &mut Walk,
+) -> *mut Probability {
+    if rows.next_y > rows.y {
+        // The row at hand was coded.
+        if !rows.is_active {
+            rows.here().iter().for_each(|word| word.set(0));
+        }
+        rows.above_is_active = rows.is_active;
+    }
+    rows.y = rows.next_y;
+    if rows.y >= rows.height {
+        return null_mut();
+    }
+    rows.next_y = rows.y + 1;
+    let was_active = rows.has_previous && rows.here().iter().any(|word| word.get() != 0);
+    walk.ahead = rows.segment();
+    rows.is_active = walk.ahead != u32::MAX;
+    let context = usize::from(rows.above_is_active) + 2 * usize::from(was_active);
+    rows.flags.cast::<Probability>().wrapping_add(context)
+}
+
+/// Begins the row at hand.
+pub(super) unsafe extern "C" fn begin_row(rows: &mut Rows<'_, '_, '_>, walk: &mut Walk) {
+    let (y, stride) = (rows.y, rows.stride);
+    let occupied = rows.words.occupied.as_ptr().cast::<u32>();
+    let here = rows.row(y);
+    let above = |rows_above: usize| {
+        if y < rows_above {
+            ZEROS.as_ptr()
+        } else {
+            occupied.wrapping_add(rows.row(y - rows_above))
+        }
+    };
+    walk.north_row = above(1);
+    walk.far_north_row = above(2);
+    walk.south_row = if rows.has_previous && y + 1 < rows.height {
+        occupied.wrapping_add(here + stride)
+    } else {
+        ZEROS.as_ptr()
+    };
+    walk.here_row = occupied.wrapping_add(here).cast_mut();
+    let last_on = rows.words.last_on.as_ptr().cast::<u32>();
+    walk.last_on_row = last_on.wrapping_add(here).cast_mut();
+    let first_on = rows.words.first_on.as_ptr().cast::<u32>();
+    let first_here = (y % 2) * stride;
+    walk.here_on_row = first_on.wrapping_add(first_here).cast_mut();
+    walk.north_on_row = first_on.wrapping_add(stride - first_here);
+    walk.segment = 0;
+    (walk.made, walk.made_on, walk.last_on) = (0, 0, 0);
+    // SAFETY: nothing else has a reference to the times while this runs.
+    let following = unsafe { &*rows.times }.following(y);
+    walk.follows = u32::from(following != Following::Not);
+    walk.tries = u32::from(following == Following::Tries);
 }
 
 /// Bytes that a segment's flags and an event take at the most, beyond what is asked for before an event.
 pub const FLAGS_BYTES_MAX: usize = 48;
-/// Bits of cells that the assembly takes at the most: their plain bits are coded at once.
-const BITS_MAX: u32 = 16;
+/// Bits of cells that the assembly takes at the most: the plain ones of a first cell are coded at once, and
+/// those of a distance, which are one more, at once but for the last.
+const BITS_MAX: u32 = FIRST_BITS + PLAIN_BITS;
 
 /// The row above the first.
 static ZEROS: [u32; SEGMENTS_MAX] = [0; SEGMENTS_MAX];
 /// Segments of the widest sensor's row.
 const SEGMENTS_MAX: usize = Sensor::SIDE_MAX as usize / SEGMENT_PIXELS as usize;
 
-impl Walk {
-    /// Codes all segments of a row, or those up to where it ends.
-    ///
-    /// `lists` and `lasts` are the sensor's.
+/// What the walk over rows needs.
+pub(super) struct RowsWalk<'r> {
+    pub(super) walk: &'r mut Walk,
+    pub(super) coder: RangeParts<'r>,
+    pub(super) model: &'r mut Model,
+    pub(super) clock: &'r mut Clock,
+    /// The sensor's.
+    pub(super) lists: &'r mut [u32],
+    pub(super) lasts: &'r mut [u32],
+    pub(super) words: Words<'r>,
+    pub(super) sensor: Sensor,
+    /// The first row, and whether the one above it has events.
+    pub(super) y: usize,
+    pub(super) above_is_active: bool,
+    pub(super) has_previous: bool,
+}
+
+impl Walks for RowsWalk<'_> {
+    /// Codes rows up to where it ends.
     #[inline(always)]
-    pub(super) fn row(
-        &mut self,
-        (coder, parts): (RangeParts<'_>, Parts<'_, '_>),
-        (model, clock): (&mut Model, &mut Clock),
-        (lists, lasts): (&mut [u32], &mut [u32]),
-        words: &Words<'_>,
-        (y, width, following): (usize, usize, Following),
-        has_previous: bool,
-    ) -> Walked {
+    fn walk(self, parts: Parts<'_, '_>) -> Walked {
+        let Self {
+            walk,
+            coder,
+            model,
+            clock,
+            lists,
+            lasts,
+            words,
+            sensor,
+            y,
+            above_is_active,
+            has_previous,
+        } = self;
+        let (width, height) = (usize::from(sensor.width), usize::from(sensor.height));
         let stride = width.div_ceil(SEGMENT_PIXELS as usize);
-        let seen = [words.north, words.north_on, words.far_north, words.south];
-        let made = [words.here, words.here_on, words.last_here];
+        let rows = stride * rows(sensor, has_previous);
+        let mut walked = Walked {
+            y,
+            above_is_active,
+            begun: None,
+            events: 0,
+            pixels: 0,
+        };
         if stride == 0
             || stride > ZEROS.len()
-            || made.into_iter().any(|row| row.len() < stride)
-            || seen
-                .into_iter()
-                .any(|row| !row.is_empty() && row.len() < stride)
+            || words.occupied.len() < rows
+            || words.last_on.len() < rows
+            || words.first_on.len() < 2 * stride
             || lists.len() < width
             || lasts.len() < width
         {
-            return Walked::NOTHING;
+            return walked;
         }
-        [
-            self.north_row,
-            self.north_on_row,
-            self.far_north_row,
-            self.south_row,
-        ] = seen.map(|row| match row.len() {
-            0 => ZEROS.as_ptr(),
-            _ => row.as_ptr().cast::<u32>(),
-        });
-        [self.here_row, self.here_on_row, self.last_on_row] =
-            made.map(|row| row.as_ptr().cast::<u32>().cast_mut());
         let out = coder.out.as_mut_ptr();
         let end = out.wrapping_add(coder.out.len());
-        (self.range, self.low) = (*coder.range, *coder.low);
-        (self.start, self.out) = (out, out.wrapping_add(*coder.len));
-        self.room = end.wrapping_sub(FINISH_BYTES + EVENT_BYTES_MAX);
-        self.pixel_room = self.room.wrapping_sub(FLAGS_BYTES_MAX);
-        self.entries = parts.group.entries.as_mut_ptr();
-        self.slots = parts.window.slots().as_mut_ptr();
-        self.segments = model.segments.as_mut_ptr();
-        self.pixels = model.pixels.as_mut_ptr();
-        self.crowds = model.runs.as_mut_ptr().wrapping_add(31);
-        self.polarities = model.polarities.as_mut_ptr();
-        self.more = model.times.more.as_mut_ptr();
-        self.flips = model.times.flips.as_mut_ptr();
-        self.first = &raw mut model.times.first;
-        self.distances = model.times.distances.as_mut_ptr();
-        self.all_lists = lists.as_mut_ptr();
-        self.all_lasts = lasts.as_mut_ptr();
-        (self.segment, self.last_segment) = (0, stride as u32 - 1);
-        self.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
-        (self.made, self.made_on, self.last_on) = (0, 0, 0);
-        self.last_length = clock.last_length;
-        self.left = *parts.left;
-        self.follows = u32::from(following != Following::Not);
-        let mut advance = Advance {
+        (walk.range, walk.low) = (*coder.range, *coder.low);
+        (walk.start, walk.out) = (out, out.wrapping_add(*coder.len));
+        walk.room = end.wrapping_sub(FINISH_BYTES + EVENT_BYTES_MAX);
+        walk.pixel_room = walk.room.wrapping_sub(FLAGS_BYTES_MAX);
+        walk.entries = parts.group.entries.as_mut_ptr();
+        walk.slots = parts.window.slots().as_mut_ptr();
+        walk.segments = model.segments.as_mut_ptr();
+        walk.pixels = model.pixels.as_mut_ptr();
+        walk.crowds = model.runs.as_mut_ptr().wrapping_add(31);
+        walk.polarities = model.polarities.as_mut_ptr();
+        let times = &raw mut model.times;
+        // SAFETY: places in what the pointer is of.
+        unsafe {
+            walk.more = (&raw mut (*times).more).cast();
+            walk.flips = (&raw mut (*times).flips).cast();
+            walk.first = &raw mut (*times).first;
+            walk.distances = (&raw mut (*times).distances).cast();
+            walk.prefixes = (&raw mut (*times).prefixes).cast();
+            walk.lengths = (&raw mut (*times).lengths).cast();
+        }
+        walk.trials = times
+            .cast::<u8>()
+            .wrapping_add(offset_of!(Times, trials))
+            .cast();
+        walk.all_lists = lists.as_mut_ptr();
+        walk.all_lasts = lasts.as_mut_ptr();
+        walk.last_segment = stride as u32 - 1;
+        walk.last_columns = (width - SEGMENT_PIXELS as usize * (stride - 1)) as u32;
+        walk.last_length = clock.last_length;
+        walk.left = *parts.left;
+        let mut rows = Rows {
             parts,
+            words,
+            stride,
+            height,
+            has_previous,
             y,
+            next_y: y,
+            is_active: false,
+            above_is_active,
             pixels: 0,
-            times: &raw mut model.times,
-            clock,
-            following,
+            flags: &raw mut model.rows,
+            times,
         };
-        self.ahead = advance.segment();
-        self.columns_told = &raw mut advance.parts.group.columns;
-        self.advance = (&raw mut advance).cast();
+        walk.columns_told = &raw mut rows.parts.group.columns;
+        walk.rows = (&raw mut rows).cast();
         // SAFETY: the pointers are those of exclusive references that outlive the call, of cells that only
         // this writes while it runs, or of zeros, which it reads. The assembly reads and writes as many
         // words of the rows as there are segments; entries of columns below 32 and slots at their heads and
@@ -185,297 +279,86 @@ impl Walk {
         // sensor's columns, and reads the last event to the west of one that has it, which is no sensor's
         // first. Its contexts are sums of bounded parts, as the twin's in Rust, and its symbols those of
         // cells below `clock.cells`, where those of a window's events are. It writes bytes from `out` on,
-        // where there is room for a segment's flags and first event from `pixel_room` on, and for another
-        // event from `room` on. `advance` and `follow` have the only references to the group, the window,
-        // the clock and the times while they run. The build script sets `eecvs_dsp` only for cores that
-        // have the instructions.
+        // where there is room for a row's and a segment's flags and first event from `pixel_room` on, and
+        // for another event from `room` on. `next_segment`, `next_row` and `begin_row` have the only
+        // references to the group, the window and the times while they run. The build script sets
+        // `eecvs_dsp` only for cores that have the instructions.
         let how = unsafe {
             if has_previous {
-                walk_row_after(self)
+                walk_rows_after(walk)
             } else {
-                walk_row(self)
+                walk_rows(walk)
             }
         };
-        let Advance {
+        let Rows {
             parts,
             pixels,
-            clock,
+            y,
+            above_is_active,
             ..
-        } = advance;
-        clock.last_length = self.last_length;
-        let mut walked = Walked {
-            segment: self.segment as usize,
-            column: None,
-            occupied: 0,
-            first_on: 0,
-            last_on: self.last_on,
-            goes_on: true,
-            events: *parts.left - self.left,
-            pixels,
-        };
-        *parts.left = self.left;
-        (*coder.range, *coder.low) = (self.range, self.low);
+        } = rows;
+        clock.last_length = walk.last_length;
+        walked.y = y;
+        walked.above_is_active = above_is_active;
+        walked.events = *parts.left - walk.left;
+        walked.pixels = pixels;
+        *parts.left = walk.left;
+        (*coder.range, *coder.low) = (walk.range, walk.low);
         // Both are of one slice, the first not below the second.
-        *coder.len = self.out.addr() - out.addr();
-        match how {
-            ROW => walked.segment += 1,
-            FLAG => {}
-            _ => {
-                parts.group.columns = self.told;
-                walked.occupied = self.told_all & !self.told;
-                walked.first_on = self.first_on;
-                walked.column = Some(self.column);
-                walked.pixels += walked.occupied.count_ones();
-                if how != LEFT {
-                    walked.goes_on = false;
-                    walked.last_on |= (self.link & 1) << (self.column & 31);
-                }
-                let next = self.link >> NEXT_SHIFT;
-                if how == FULL && (next as usize) < parts.window.slots().len() {
-                    *parts.pixel = Some(Pixel {
-                        x: (u32::from(SEGMENT_PIXELS) * self.segment + self.column) as u16,
-                        y: y as u16,
-                        on: 0,
-                        off: 0,
-                        head: next,
-                    });
-                    (*parts.at, *parts.rest) = (next, 1);
-                }
+        *coder.len = walk.out.addr() - out.addr();
+        if how == ROWS || how == ROW_FLAG {
+            return walked;
+        }
+        let mut begun = Begun {
+            segment: walk.segment as usize,
+            column: None,
+            made: Made {
+                last_on: walk.last_on,
+                ..Made::default()
+            },
+            goes_on: true,
+            following: match (walk.follows, walk.tries) {
+                (0, _) => Following::Not,
+                (_, 0) => Following::Does,
+                _ => Following::Tries,
+            },
+        };
+        if how != FLAG {
+            parts.group.columns = walk.told;
+            begun.made.occupied = walk.told_all & !walk.told;
+            begun.made.first_on = walk.first_on;
+            begun.column = Some(walk.column);
+            walked.pixels += begun.made.occupied.count_ones();
+            if how != LEFT {
+                begun.goes_on = false;
+                begun.made.last_on |= (walk.link & 1) << (walk.column & 31);
+            }
+            let next = walk.link >> NEXT_SHIFT;
+            if how == FULL && (next as usize) < parts.window.slots().len() {
+                *parts.pixel = Some(Pixel {
+                    x: (u32::from(SEGMENT_PIXELS) * walk.segment + walk.column) as u16,
+                    y: y as u16,
+                    on: 0,
+                    off: 0,
+                    head: next,
+                });
+                (*parts.at, *parts.rest) = (next, 1);
             }
         }
+        walked.begun = Some(begun);
         walked
     }
 }
 
-/// Words of the rows around one; no words where there is no row.
-pub struct Words<'r> {
-    /// Of the row above: occupied columns, and polarities of first events.
-    pub north: &'r [Cell<u32>],
-    pub north_on: &'r [Cell<u32>],
-    /// The one above that, and the one below in the window before.
-    pub far_north: &'r [Cell<u32>],
-    pub south: &'r [Cell<u32>],
-    /// Here, where those of the window before are, and the polarities of last events.
-    pub here: &'r [Cell<u32>],
-    pub here_on: &'r [Cell<u32>],
-    pub last_here: &'r [Cell<u32>],
+/// Words of all rows that are kept: occupied columns, here and further on those of the window before, and
+/// the polarities of last events; and of the first ones, of two rows.
+pub(super) struct Words<'r> {
+    pub(super) occupied: &'r [Cell<u32>],
+    pub(super) last_on: &'r [Cell<u32>],
+    pub(super) first_on: &'r [Cell<u32>],
 }
 
 /// Whether a row's walk is made for these cells.
 pub(super) const fn serves(clock: &Clock) -> bool {
     clock.beside_bits == 0 && clock.bits > FIRST_BITS && clock.bits <= BITS_MAX
-}
-
-/// Codes the events of a pixel in a row that follows, of which the polarity of the first has been; returns
-/// [`DONE`], or what the walk ends with.
-pub(super) unsafe extern "C" fn follow(
-    advance: &mut Advance<'_, '_, '_>,
-    walk: &mut Walk,
-    cell: u32,
-    link: u32,
-) -> u32 {
-    let column = walk.column & 31;
-    // SAFETY: the walk is at a column of its segment, whose lists and last events are there; there are
-    // those to the west of one that is occupied.
-    let (west, north) = unsafe {
-        let (lists, lasts) = (
-            walk.lists.add(column as usize),
-            walk.lasts.add(column as usize),
-        );
-        let west = if walk.west >> column & 2 != 0 {
-            Neighbour {
-                list: *lists.sub(1),
-                last: *lasts.sub(1),
-            }
-        } else {
-            Neighbour::NONE
-        };
-        let north = if walk.north >> column & 1 != 0 {
-            Neighbour {
-                list: walk.north_list,
-                last: *lasts,
-            }
-        } else {
-            Neighbour::NONE
-        };
-        (west, north)
-    };
-    let mut content = Events {
-        slots: advance.parts.window.slots(),
-        slot: Slot::new(cell, link >> NEXT_SHIFT, link),
-        at: 0,
-        is_more: true,
-        left: walk.left,
-    };
-    advance.clock.last_length = walk.last_length;
-    // SAFETY: nothing else has a reference to the times while this runs.
-    let times = unsafe { &mut *advance.times };
-    let neighbours = ((west, north), advance.following);
-    let first_on = link & 1 == 1;
-    let mut coder = Coder(&mut *walk);
-    let pixel = advance
-        .clock
-        .pixel(times, &mut coder, &mut content, first_on, neighbours);
-    let (left, next) = (content.left, content.at);
-    let is_more = content.is_more;
-    walk.last_length = advance.clock.last_length;
-    walk.left = left;
-    // SAFETY: as above.
-    unsafe { *walk.lasts.add(column as usize) = pixel.last };
-    if pixel.goes_on {
-        walk.last_on |= (pixel.last & 1) << column;
-        return DONE;
-    }
-    walk.link = next << NEXT_SHIFT | pixel.last & 1;
-    if left == 0 || !is_more { OVER } else { FULL }
-}
-
-/// The events of one pixel.
-struct Events<'s> {
-    slots: &'s [Slot],
-    slot: Slot,
-    /// Number of the next one, once one was taken.
-    at: u32,
-    is_more: bool,
-    left: u32,
-}
-
-impl Content for Events<'_> {
-    fn has_row(&mut self, _y: u16) -> bool {
-        false
-    }
-
-    fn has_segment(&mut self, _segment: u16, _y: u16) -> bool {
-        false
-    }
-
-    fn columns(&mut self) -> u32 {
-        0
-    }
-
-    fn enter(&mut self, _position: (u16, u16)) -> u32 {
-        0
-    }
-
-    #[inline(always)]
-    fn is_more(&self) -> bool {
-        self.is_more
-    }
-
-    #[inline(always)]
-    fn peek(&self) -> (u32, bool) {
-        (self.slot.offset_us(), self.slot.is_on())
-    }
-
-    #[inline(always)]
-    fn take(&mut self, _cell: u32, _on: bool) {
-        self.left = self.left.saturating_sub(1);
-        self.at = self.slot.next();
-        match self.slots.get(self.at as usize) {
-            Some(slot) => self.slot = *slot,
-            None => self.is_more = false,
-        }
-    }
-
-    #[inline(always)]
-    fn is_over(&self) -> bool {
-        self.left == 0
-    }
-
-    #[inline(always)]
-    fn at(&self, list: u32) -> Option<Node> {
-        let slot = self.slots.get(list as usize)?;
-        Some(Node {
-            cell: slot.offset_us(),
-            on: slot.is_on(),
-            next: slot.next(),
-        })
-    }
-}
-
-/// The range coder within a walk, where there is room.
-struct Coder<'c>(&'c mut Walk);
-
-impl Coder<'_> {
-    fn add(&mut self, more: u32) {
-        let (low, carries) = self.0.low.overflowing_add(more);
-        self.0.low = low;
-        if carries {
-            let len = self.0.out.addr() - self.0.start.addr();
-            // SAFETY: both are of the output, the first not below the second.
-            let out = unsafe { core::slice::from_raw_parts_mut(self.0.start, len) };
-            carry(out, len);
-        }
-    }
-
-    fn renew(&mut self) {
-        if self.0.range < RANGE_MIN {
-            // SAFETY: there was room for an event.
-            unsafe { *self.0.out = (self.0.low >> 24) as u8 };
-            self.0.out = self.0.out.wrapping_add(1);
-            self.0.low <<= 8;
-            self.0.range <<= 8;
-        }
-    }
-
-    #[inline(never)]
-    fn share(&mut self, (begin, end): (u32, u32), all: u32) {
-        self.0.range /= all;
-        self.add(begin * self.0.range);
-        self.0.range *= end - begin;
-        self.renew();
-        self.renew();
-    }
-}
-
-impl Binary for Coder<'_> {
-    #[inline(always)]
-    fn bit(&mut self, probability: &mut Probability, bit: bool) -> bool {
-        // SAFETY: there was room for an event.
-        unsafe { decide(self.0, probability, u32::from(bit)) };
-        bit
-    }
-
-    #[inline(always)]
-    fn symbol<const N: usize>(&mut self, table: &mut Symbols<N>, symbol: usize) -> usize {
-        self.share(table.share(symbol), SCALE);
-        table.learn(symbol);
-        symbol
-    }
-
-    #[inline(always)]
-    fn symbol_up_to<const N: usize>(
-        &mut self,
-        table: &mut Symbols<N>,
-        symbol: usize,
-        last: usize,
-    ) -> usize {
-        self.share(table.share(symbol), table.share(last).1.max(1));
-        table.learn(symbol);
-        symbol
-    }
-
-    fn one_of(&mut self, number: u32, _count: u32) -> u32 {
-        number
-    }
-
-    #[inline(never)]
-    fn plain(&mut self, value: u32, count: u32) -> u32 {
-        let mut left = count;
-        while left > 0 {
-            let bits = left.min(PLAIN_BITS);
-            left -= bits;
-            self.0.range >>= bits;
-            self.add(((value >> left) & ((1 << bits) - 1)) * self.0.range);
-            self.renew();
-            self.renew();
-        }
-        value
-    }
-
-    #[inline(always)]
-    fn has_room(&self, _bytes: usize) -> bool {
-        // Of an event: nothing else is asked for here.
-        self.0.out <= self.0.room
-    }
 }

@@ -27,7 +27,7 @@ const FINE_BITS: u32 = 3;
 pub(super) const COARSE: u32 = 15;
 pub(super) const DISTANCES: usize = 1 + COARSE as usize + (FINE_LENGTHS << FINE_BITS) as usize;
 /// In rows that follow: numbers of bits, as decisions from the top.
-const LENGTHS: usize = 16;
+pub(super) const LENGTHS: usize = 16;
 
 /// Contexts of the number of bits of a pixel's last distance.
 pub(super) const OF_LAST: [u8; 16] = [0, 1, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 11, 11];
@@ -37,20 +37,20 @@ pub(super) const OF_LAST_LATE: [u8; LASTS] = [0, 1, 1, 1, 1, 1, 1, 1, 2, 3, 4, 5
 /// The same for whether there is another event, and 0 where there was no distance.
 pub(super) const OF_LAST_MORE: [u8; 16] = [0, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 5];
 /// Contexts of the bits of a neighbour's distance, 0 for none.
-const OF_NEAR: [u8; 17] = [0, 1, 1, 1, 1, 1, 2, 3, 4, 5, 6, 7, 7, 7, 8, 8, 8];
-const NEARS: usize = 9;
+pub(super) const OF_NEAR: [u8; 17] = [0, 1, 1, 1, 1, 1, 2, 3, 4, 5, 6, 7, 7, 7, 8, 8, 8];
+pub(super) const NEARS: usize = 9;
 /// Contexts of what is left of the window: powers of two, and the least.
 pub(super) const RESTS: usize = 6;
 
 /// Events of a neighbour looked at for one of the same polarity.
-const LOOK_AHEAD: usize = 4;
+pub(super) const LOOK_AHEAD: usize = 4;
 /// Of a prefix: 15 places with either bit of the candidate, 3 after the first difference with its
 /// direction, and a tree of 3 where there is no candidate.
-const PREFIX_CONTEXTS: usize = 30 + 12 + 8;
+pub(super) const PREFIX_CONTEXTS: usize = 30 + 12 + 8;
 /// Sets of them: lengths up to the first of these share one, and so do those from the last on; beyond
 /// is that of first cells.
-const PREFIX_LENGTHS: (u32, u32) = (4, 13);
-const PREFIX_FIRST: usize = (PREFIX_LENGTHS.1 - PREFIX_LENGTHS.0 + 1) as usize;
+pub(super) const PREFIX_LENGTHS: (u32, u32) = (4, 13);
+pub(super) const PREFIX_FIRST: usize = (PREFIX_LENGTHS.1 - PREFIX_LENGTHS.0 + 1) as usize;
 
 /// Magnitudes of a distance from a scan that are learned; the others are plain.
 const BESIDE_LEARNED: u32 = 4;
@@ -59,9 +59,9 @@ const BESIDE_LEARNED: u32 = 4;
 const TRIAL_ROWS: usize = 16;
 /// Trials before it is known what they are worth, and after which they count half.
 const TRIALS_MIN: u16 = 32;
-const TRIALS_MAX: u16 = 512;
+pub(super) const TRIALS_MAX: u16 = 512;
 /// A candidate of so many bits is right by chance in one trial of 32; rows follow from one in 16 on.
-const TRIAL_LENGTH: u32 = 6;
+pub(super) const TRIAL_LENGTH: u32 = 6;
 const TRIALS_PER_MATCH: u16 = 16;
 
 /// What is learned of times.
@@ -71,14 +71,14 @@ pub(super) struct Times {
     pub(super) more: [Probability; 3 * RESTS * 6 * 4 * 2],
     pub(super) flips: [Probability; 16 * 2 * 3 * 3],
     pub(super) distances: [Symbols<DISTANCES>; LASTS * 2 + LASTS],
-    lengths: [[Probability; LENGTHS]; LASTS * NEARS * 2],
-    prefixes: [[Probability; PREFIX_CONTEXTS]; PREFIX_FIRST + 1],
+    pub(super) lengths: [[Probability; LENGTHS]; LASTS * NEARS * 2],
+    pub(super) prefixes: [[Probability; PREFIX_CONTEXTS]; PREFIX_FIRST + 1],
     /// Whether a distance from a scan is above 0, 1, 2, 3.
     beside: [Probability; BESIDE_LEARNED as usize],
     /// Whether it is before the scan, of 1 and of more.
     before_scan: [Probability; 2],
-    trials: u16,
-    matches: u16,
+    pub(super) trials: u16,
+    pub(super) matches: u16,
 }
 
 impl Times {

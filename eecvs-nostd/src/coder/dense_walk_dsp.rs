@@ -1,14 +1,16 @@
-//! The dense coder's walk over the segments of a row and their pixels' events in assembly, with the range
+//! The dense coder's walk over rows, their segments and their pixels' events in assembly, with the range
 //! coder's state in registers; [`super::dense_dsp`] hands it what it knows.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
 use core::mem::offset_of;
 
-use super::dense_dsp::{advance, follow};
+use super::dense_dsp::{begin_row, next_row, next_segment};
 use super::dense_times::{COARSE, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, RESTS};
+use super::dense_times_dsp::{follow, more, renew_distance, renew_first, rest};
 use super::dense_walk_state_dsp::Walk;
-use super::range::Probability;
+use super::range::{PLAIN_BITS, Probability};
+use super::range_dsp::{at, carry, learn, one, plain, renew, renew_twice, symbol, zero};
 use super::symbols::Symbols;
 use crate::group::Entry;
 use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
@@ -19,126 +21,16 @@ pub(super) const DONE: u32 = 0;
 pub(super) const LEFT: u32 = 1;
 pub(super) const OVER: u32 = 2;
 pub(super) const FULL: u32 = 3;
-/// The same of a row: all its segments, and a segment's flag that is left to the loop in Rust.
-pub(super) const ROW: u32 = 4;
+/// The same of rows: all of them, and a segment's or a row's flag that is left to the loop in Rust.
+pub(super) const ROWS: u32 = 4;
 pub(super) const FLAG: u32 = 5;
+pub(super) const ROW_FLAG: u32 = 6;
 
 // What the assembly takes for granted.
 const _: () = assert!(SLOTS_MAX < 1 << 15 && NO_SLOT >= 1 << 15 && NEXT_SHIFT == 16);
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Probability>() == 2);
 const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, head) == 0);
 const _: () = assert!(COARSE == 15 && RESTS == 6 && FIRST_BITS == 5);
-
-unsafe extern "C" fn renew_first(table: &mut Symbols<FIRST_SYMBOLS>) {
-    table.renew();
-}
-
-unsafe extern "C" fn renew_distance(table: &mut Symbols<DISTANCES>) {
-    table.renew();
-}
-
-/// A byte, where the range has become short; overwrites r2.
-macro_rules! renew {
-    () => {
-        "cmp r8, #0x1000000
-        bhs 97f
-        lsr r2, r9, #24
-        strb r2, [r10], #1
-        lsls r9, r9, #8
-        lsls r8, r8, #8
-        97:
-        "
-    };
-}
-
-/// Two of them at the most.
-macro_rules! renew_twice {
-    () => {
-        "cmp r8, #0x1000000
-        bhs 97f
-        lsr r2, r9, #24
-        strb r2, [r10], #1
-        lsls r9, r9, #8
-        lsls r8, r8, #8
-        cmp r8, #0x1000000
-        bhs 97f
-        lsr r2, r9, #24
-        strb r2, [r10], #1
-        lsls r9, r9, #8
-        lsls r8, r8, #8
-        97:
-        "
-    };
-}
-
-/// Adds to the low end; lr is overwritten.
-macro_rules! add {
-    ($more:literal) => {
-        concat!("adds r9, r9, ", $more, "\nbcc 98f\nbl 99f\n98:\n")
-    };
-}
-
-/// One more in the last of the bytes written.
-macro_rules! carry {
-    () => {
-        "99:
-        push {{r0, r1, r2}}
-        mov r0, r10
-        ldr r2, [r11, #{start}]
-        89:
-        cmp r0, r2
-        beq 88f
-        ldrb r1, [r0, #-1]!
-        adds r1, #1
-        strb r1, [r0]
-        lsls r1, r1, #24
-        beq 89b
-        88:
-        pop {{r0, r1, r2}}
-        bx lr"
-    };
-}
-
-/// A decision of which the probability is at r0; r1 to r3 and r12 are overwritten.
-macro_rules! one {
-    () => {
-        concat!(
-            "ldrh r1, [r0]\n",
-            "lsr r2, r8, #13\n",
-            "lsr r3, r1, #3\n",
-            "and r12, r1, #7\n",
-            "mul r8, r2, r3\n",
-            "ldrh r12, [r11, r12, lsl #1]\n",
-            "rsb r2, r3, #8192\n",
-            "mul r2, r2, r12\n",
-            "add r3, r3, r2, lsr #16\n",
-            "bfi r12, r3, #3, #13\n",
-            "strh r12, [r0]\n",
-            renew!(),
-        )
-    };
-}
-
-/// The same of a zero, and lr.
-macro_rules! zero {
-    () => {
-        concat!(
-            "ldrh r1, [r0]\n",
-            "lsr r2, r8, #13\n",
-            "lsr r3, r1, #3\n",
-            "and r12, r1, #7\n",
-            "mul r2, r2, r3\n",
-            "ldrh r12, [r11, r12, lsl #1]\n",
-            "sub r8, r8, r2\n",
-            add!("r2"),
-            "mul r2, r3, r12\n",
-            "sub r3, r3, r2, lsr #16\n",
-            "bfi r12, r3, #3, #13\n",
-            "strh r12, [r0]\n",
-            renew!(),
-        )
-    };
-}
 
 /// What column r5 sees, at the top of which `$quiet` is where it goes on if that is nothing; r0: context
 /// of whether it has events.
@@ -163,137 +55,6 @@ macro_rules! see {
             $old,
         )
     };
-}
-
-/// From its share of a symbol's table on: r12 is its begin and r2 its end, the range that of a share.
-macro_rules! symbol {
-    () => {
-        concat!(
-            "sub r2, r2, r12\n",
-            "mul r12, r12, r8\n",
-            "mul r8, r8, r2\n",
-            add!("r12"),
-            renew_twice!(),
-        )
-    };
-}
-
-/// The lowest r3 bits of a register, as they are; overwrites r2.
-macro_rules! plain {
-    ($value:literal) => {
-        concat!(
-            "lsr r2, ",
-            $value,
-            ", r3\n",
-            "lsls r2, r3\n",
-            "sub r2, ",
-            $value,
-            ", r2\n",
-            "lsrs r8, r3\n",
-            "mul r2, r2, r8\n",
-            add!("r2"),
-            renew_twice!(),
-        )
-    };
-}
-
-/// Learns from symbol r1 of table r0.
-macro_rules! learn {
-    ($counts:literal, $left:literal, $renew:literal) => {
-        concat!(
-            "add r1, r1, r0\n",
-            "ldrb r2, [r1, #",
-            $counts,
-            "]\n",
-            "adds r2, #1\n",
-            "strb r2, [r1, #",
-            $counts,
-            "]\n",
-            "ldrb r2, [r0, #",
-            $left,
-            "]\n",
-            "subs r2, #1\n",
-            "strb r2, [r0, #",
-            $left,
-            "]\n",
-            "bne 95f\n",
-            "bl ",
-            $renew,
-            "\n",
-            "95:\n",
-        )
-    };
-}
-
-/// From a part of the context of whether there is another event in r1 to its probability's place in r0.
-macro_rules! more {
-    () => {
-        concat!(
-            "ldrd r2, r3, [r11, #{west_last}]\n",
-            "lsl r12, r6, #1\n",
-            "add r12, r12, #2\n",
-            "cmp r3, r12\n",
-            "adcs r1, r1\n",
-            "cmp r2, r12\n",
-            "adcs r1, r1\n",
-            "lsrs r0, r7, #1\n",
-            "adcs r1, r1\n",
-            "ldr r0, [r11, #{more}]\n",
-            "add r0, r0, r1, lsl #1\n",
-        )
-    };
-}
-
-/// Six times what is left of the window, in r1.
-macro_rules! rest {
-    () => {
-        concat!(
-            "ldrd r2, r1, [r11, #{half}]\n",
-            "subs r1, r1, r6\n",
-            "clz r1, r1\n",
-            // Of all of a window whose cells are a power of two, there is one less.
-            "subs r1, r1, r2\n",
-            "usat r1, #4, r1\n",
-            "rsb r1, r1, #{rests} - 1\n",
-            "usat r1, #5, r1\n",
-            "add r1, r1, r1, lsl #1\n",
-            "lsls r1, r1, #1\n",
-        )
-    };
-}
-
-const fn at(offset: usize) -> usize {
-    offset - offset_of!(Walk, rates)
-}
-
-/// A decision.
-///
-/// # Safety
-/// There is room for a byte at `walk.out`.
-#[unsafe(naked)]
-pub(super) unsafe extern "C" fn decide(walk: &mut Walk, probability: &mut Probability, bit: u32) {
-    naked_asm!(
-        "push {{r8-r11, lr}}",
-        "add r11, r0, #{rates}",
-        "mov r0, r1",
-        "ldrd r8, r9, [r11, #{range}]",
-        "ldr r10, [r11, #{out}]",
-        "cmp r2, #0",
-        "bne 1f",
-        zero!(),
-        "b 2f",
-        "1:",
-        one!(),
-        "2:",
-        "strd r8, r9, [r11, #{range}]",
-        "str r10, [r11, #{out}]",
-        "pop {{r8-r11, pc}}",
-        carry!(),
-        rates = const offset_of!(Walk, rates),
-        range = const at(offset_of!(Walk, range)),
-        out = const at(offset_of!(Walk, out)),
-        start = const at(offset_of!(Walk, start)),
-    )
 }
 
 /// Adds to the first register what a word in the second has of bits: 0, 1, 2 to 3, or more, as 0 to 3;
@@ -367,8 +128,32 @@ macro_rules! row {
             "58:\n",
             "movs r0, #{flag}\n",
             "b 75f\n",
+            // The next row.
             "59:\n",
-            "movs r0, #{row_end}\n",
+            "ldr r0, [r11, #{rows}]\n",
+            "sub r1, r11, #{rates}\n",
+            "bl {next_row}\n",
+            "cmp r0, #0\n",
+            "beq 56f\n",
+            "ldr r12, [r11, #{pixel_room}]\n",
+            "cmp r10, r12\n",
+            "bhi 57f\n",
+            "ldr r1, [r11, #{ahead}]\n",
+            "adds r1, #1\n",
+            "bne 54f\n",
+            zero!(),
+            "b 59b\n",
+            "54:\n",
+            one!(),
+            "ldr r0, [r11, #{rows}]\n",
+            "sub r1, r11, #{rates}\n",
+            "bl {begin_row}\n",
+            "b 50b\n",
+            "56:\n",
+            "movs r0, #{rows_end}\n",
+            "b 75f\n",
+            "57:\n",
+            "movs r0, #{row_flag}\n",
             "b 75f\n",
             // One that has events: what its columns see.
             "52:\n",
@@ -460,9 +245,9 @@ macro_rules! row {
             "ldr r0, [r11, #{columns_told}]\n",
             "movs r1, #0\n",
             "str r1, [r0]\n",
-            "ldr r0, [r11, #{advance_to}]\n",
+            "ldr r0, [r11, #{rows}]\n",
             "ldr r1, [r11, #{told_all}]\n",
-            "bl {advance}\n",
+            "bl {next_segment}\n",
             "str r0, [r11, #{ahead}]\n",
             "ldrd r5, r6, [r11, #{segment}]\n",
             "ldr r0, [r11, #{told_all}]\n",
@@ -473,7 +258,7 @@ macro_rules! row {
     };
 }
 
-macro_rules! walk_row {
+macro_rules! walk_rows {
     ($name:ident, $see_old:expr, $polarity_old:expr, $last_old:expr, $row:expr) => {
 /// # Safety
 /// As `walk` has it.
@@ -482,13 +267,15 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
     naked_asm!(
         // | r4 | r5 | r6 | r7 | r8 | r9 | r10 | r11 |
         // |---|---|---|---|---|---|---|---|
-        // | left | column | the next with events | its slot | range | low | out | rates |
+        // | see below | column | the next with events | its slot | range | low | out | rates |
         "push {{r3-r11, lr}}",
         "add r11, r0, #{rates}",
         "ldrd r8, r9, [r11, #{range}]",
         "ldr r10, [r11, #{out}]",
         "ldr r4, [r11, #{left}]",
-                "b 50f",
+        "subs r4, #1",
+        "lsls r4, r4, #1",
+        "b 59f",
         "5:",
         "movs r5, #0",
         // The next pixel.
@@ -521,9 +308,8 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "cmp r5, r6",
         "bhs 20f",
         see!("10f", $see_old),
-        "ldr r1, [r11, #{pixels}]",
-        "add r0, r1, r0, lsl #1",
-        zero!(),
+        "ldr lr, [r11, #{pixels}]",
+        zero!("lr"),
         "adds r5, #1",
         "b 4b",
         // No pixel is left.
@@ -560,16 +346,14 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "lsrs r8, r8, #16",
         "mul r8, r8, r0",
         "subs r0, r6, r5",
-        "mul r0, r0, r8",
-        add!("r0"),
+        "umlal r9, r4, r0, r8",
         renew!(),
         "mov r5, r6",
         "ldr r0, [r11, #{west_on}]",
         "lsrs r0, r5",
         "and r0, r0, #1",
-        "movs r1, #162",
-        "ldr r2, [r11, #{polarities}]",
-        "mla r0, r0, r1, r2",
+        "movs r1, #81",
+        "mul r0, r0, r1",
         "movs r2, #0",
         "movs r3, #0",
         "b 30f",
@@ -578,16 +362,15 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "cmp r7, #0",
         "beq 71f",
         see!("10b", $see_old),
-        "mov lr, r0",
         "ldr r1, [r11, #{last_column}]",
         "cmp r1, r5",
         "beq 62f",
         "22:",
-        "ldr r1, [r11, #{pixels}]",
-        "add r0, r1, lr, lsl #1",
-        one!(),
+        "ldr lr, [r11, #{pixels}]",
+        one!("lr"),
         // Its polarity's context. lr: that of the column.
         "21:",
+        "mov lr, r0",
         "ldrd r3, r1, [r11, #{west_on}]",
         "ldrd r2, r12, [r11, #{north_on}]",
         "lsrs r3, r5",
@@ -605,8 +388,6 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "ldrb r0, [r0, #{weights}]",
         "adds r0, r0, r3",
         $polarity_old,
-        "ldr r1, [r11, #{polarities}]",
-        "add r0, r1, r0, lsl #1",
         "ldr r1, [r11, #{lasts}]",
         "add r1, r1, r5, lsl #2",
         "movs r2, #0",
@@ -617,7 +398,7 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "tst lr, #8",
         "it ne",
         "ldrne r3, [r1]",
-        // A pixel: r0: its polarity's probability; r2 and r3: the neighbours' last events.
+        // A pixel: r0: its polarity's context; r2 and r3: the neighbours' last events.
         "30:",
         "strd r2, r3, [r11, #{west_last}]",
         "ldrd r6, r7, [r7]",
@@ -625,12 +406,13 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "subs r2, r1, #1",
         "ands r1, r2",
         "str r1, [r11, #{told}]",
+        "ldr lr, [r11, #{polarities}]",
         "lsls r1, r7, #31",
         "bmi 31f",
-        zero!(),
+        zero!("lr"),
         "b 32f",
         "31:",
-        one!(),
+        one!("lr"),
         "movs r1, #1",
         "lsls r1, r5",
         "ldrd r2, r3, [r11, #{first_on}]",
@@ -651,8 +433,8 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         symbol!(),
         plain!("r6"),
         learn!("{first_counts}", "{first_left}", "{renew_first}"),
-        "subs r4, #1",
-        "beq 72f",
+        "subs r4, #2",
+        "blo 72f",
         "ldr r1, [r11, #{room}]",
         "cmp r10, r1",
         "bhi 73f",
@@ -660,7 +442,7 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         more!(),
         "asrs r1, r7, #16",
         "bpl 40f",
-        zero!(),
+        zero!("lr"),
         // The pixel's end.
         "34:",
         "lsrs r0, r7, #1",
@@ -673,7 +455,7 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         // Further events.
         "40:",
         "str r5, [r11, #{column}]",
-        one!(),
+        one!("lr"),
         "movs r1, #6",
         "movs r2, #36",
         "strd r1, r2, [r11, #{before}]",
@@ -700,15 +482,14 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "adds r0, #1",
         "adds r0, r0, r1",
         "43:",
-        "ldr r1, [r11, #{flips}]",
-        "add r0, r1, r0, lsl #1",
+        "ldr lr, [r11, #{flips}]",
         "ldr r1, [r5, #4]",
         "lsls r1, r1, #31",
         "bmi 44f",
-        zero!(),
+        zero!("lr"),
         "b 45f",
         "44:",
-        one!(),
+        one!("lr"),
         // Its distance: r5; r12: leading zeros of what is left of the window.
         "45:",
         "and r2, r7, #1",
@@ -764,11 +545,14 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "ldrh r12, [r2]",
         "ldrh r2, [r2, #2]",
         symbol!(),
+        "cmp r3, #{plain_bits}",
+        "bhi 49f",
+        "39:",
         plain!("r5"),
         learn!("{distance_counts}", "{distance_left}", "{renew_distance}"),
         "add r6, r6, r5",
-        "subs r4, #1",
-        "beq 76f",
+        "subs r4, #2",
+        "blo 76f",
         "ldr r1, [r11, #{room}]",
         "cmp r10, r1",
         "bhi 74f",
@@ -784,30 +568,28 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         more!(),
         "asrs r1, r7, #16",
         "bpl 48f",
-        zero!(),
+        zero!("lr"),
         "ldr r5, [r11, #{column}]",
         "b 34b",
         "48:",
-        one!(),
+        one!("lr"),
         "b 41b",
-        // The events of a pixel in a row that follows.
+        // 13 plain bits: all but the last first.
+        "49:",
+        "ubfx r2, r5, #1, #{plain_bits}",
+        "lsrs r8, r8, #{plain_bits}",
+        "umlal r9, r4, r2, r8",
+        renew_twice!(),
+        "movs r3, #1",
+        "b 39b",
+        // A pixel in a row that follows.
         "80:",
-        "strd r8, r9, [r11, #{range}]",
-        "str r10, [r11, #{out}]",
-        "str r4, [r11, #{left}]",
         "str r5, [r11, #{column}]",
-        "ldr r0, [r11, #{advance_to}]",
-        "sub r1, r11, #{rates}",
-        "mov r2, r6",
-        "mov r3, r7",
         "bl {follow}",
-        "ldrd r8, r9, [r11, #{range}]",
-        "ldr r10, [r11, #{out}]",
-        "ldr r4, [r11, #{left}]",
+        "ldr r5, [r11, #{column}]",
         "cmp r0, #0",
-        "bne 75f",
-        "adds r5, #1",
-        "b 1b",
+        "beq 34b",
+        "b 77f",
         // Whether a pixel's events are in order. r12: the next slot; r2: time of the one before.
         "60:",
         "ldr r2, [r7]",
@@ -850,17 +632,24 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "77:",
         "str r7, [r11, #{link}]",
         "75:",
+        "lsls r2, r4, #31",
+        "bpl 78f",
+        "bl {carry}",
+        "78:",
+        "asrs r4, r4, #1",
+        "adds r4, #1",
         "strd r8, r9, [r11, #{range}]",
         "str r10, [r11, #{out}]",
         "str r4, [r11, #{left}]",
         "pop {{r3-r11, pc}}",
-        carry!(),
+        carry = sym carry,
         renew_first = sym renew_first,
         renew_distance = sym renew_distance,
         rates = const offset_of!(Walk, rates),
         no_slot = const NO_SLOT,
         left_to = const LEFT,
         over = const OVER,
+        plain_bits = const PLAIN_BITS,
         full = const FULL,
         first_counts = const Symbols::<FIRST_SYMBOLS>::COUNTS_AT,
         first_left = const Symbols::<FIRST_SYMBOLS>::LEFT_AT,
@@ -872,7 +661,6 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         of_last_more = const at(offset_of!(Walk, of_last_more)),
         range = const at(offset_of!(Walk, range)),
         out = const at(offset_of!(Walk, out)),
-        start = const at(offset_of!(Walk, start)),
         room = const at(offset_of!(Walk, room)),
         pixel_room = const at(offset_of!(Walk, pixel_room)),
         told = const at(offset_of!(Walk, told)),
@@ -891,7 +679,7 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         first = const at(offset_of!(Walk, first)),
         distances = const at(offset_of!(Walk, distances)),
         half = const at(offset_of!(Walk, half)),
-        rests = const RESTS,
+        cells = const at(offset_of!(Walk, cells)),
         fine = const at(offset_of!(Walk, fine)),
         old = const at(offset_of!(Walk, old)),
         later = const at(offset_of!(Walk, later)),
@@ -923,12 +711,15 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         crowds = const at(offset_of!(Walk, crowds)),
         all_lists = const at(offset_of!(Walk, all_lists)),
         columns_told = const at(offset_of!(Walk, columns_told)),
-        advance_to = const at(offset_of!(Walk, advance)),
-        advance = sym advance,
+        rows = const at(offset_of!(Walk, rows)),
+        next_segment = sym next_segment,
+        next_row = sym next_row,
+        begin_row = sym begin_row,
         follow = sym follow,
         follows = const at(offset_of!(Walk, follows)),
         north_list = const at(offset_of!(Walk, north_list)),
-        row_end = const ROW,
+        rows_end = const ROWS,
+        row_flag = const ROW_FLAG,
         flag = const FLAG,
         left = const at(offset_of!(Walk, left)),
     )
@@ -936,15 +727,15 @@ pub(super) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
     };
 }
 
-walk_row!(
-    walk_row,
+walk_rows!(
+    walk_rows,
     "",
     "/* {old} {later} {old_on} {last_on} {south_row} {last_on_row} */",
     "",
     row!("", "lsls r3, r3, #4\n", "", "")
 );
-walk_row!(
-    walk_row_after,
+walk_rows!(
+    walk_rows_after,
     concat!(
         "ldrd r1, r2, [r11, #{old}]\n",
         "ldr r3, [r11, #{later} + 4]\n",

@@ -3,9 +3,10 @@
 
 use core::ptr::{null, null_mut};
 
-use super::dense_dsp::Advance;
+use super::dense_dsp::Rows;
 use super::dense_times::{
-    Clock, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LASTS, OF_LAST, OF_LAST_LATE, OF_LAST_MORE,
+    Clock, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LASTS, LENGTHS, OF_LAST, OF_LAST_LATE,
+    OF_LAST_MORE, OF_NEAR, PREFIX_CONTEXTS, RESTS,
 };
 use super::range::{Probability, RATES};
 use super::symbols::Symbols;
@@ -33,6 +34,8 @@ pub struct Walk {
     pub(super) of_last_late: [u8; 16],
     /// The same of whether there is another.
     pub(super) of_last_more: [u8; 16],
+    /// Of the bits of a neighbour's distance: twice its context.
+    pub(super) of_near: [u8; 20],
     pub(super) range: u32,
     pub(super) low: u32,
     pub(super) out: *mut u8,
@@ -64,6 +67,8 @@ pub struct Walk {
     /// Leading zeros of what is left of the window where it is at least half.
     pub(super) half: u32,
     pub(super) cells: u32,
+    /// By the leading zeros of what is left of the window: six times its context.
+    pub(super) rests: *const u8,
     pub(super) fine: u32,
     /// 7 times `fine`, and 8.
     pub(super) fine_symbols: u32,
@@ -117,15 +122,24 @@ pub struct Walk {
     pub(super) all_lists: *mut u32,
     pub(super) all_lasts: *mut u32,
     pub(super) columns_told: *mut u32,
-    pub(super) advance: *mut Advance<'static, 'static, 'static>,
+    pub(super) rows: *mut Rows<'static, 'static, 'static>,
     /// Whether the row follows, 1 or 0, and the list that the column had before.
     pub(super) follows: u32,
     pub(super) north_list: u32,
+    /// In such a row: slots of the next events to the west and north of the pixel at hand, 0 for none.
+    pub(super) near: [u32; 2],
+    pub(super) prefixes: *mut [Probability; PREFIX_CONTEXTS],
+    pub(super) lengths: *mut [Probability; LENGTHS],
+    /// Bits of the longest distance that is shorter than all that have a length.
+    pub(super) short: u32,
+    /// Whether it is counted what following is worth, and where.
+    pub(super) tries: u32,
+    pub(super) trials: *mut u16,
 }
 
 impl Walk {
     /// Before the first row of a frame, for these cells.
-    pub(super) const fn new(clock: &Clock) -> Self {
+    pub(super) fn new(clock: &Clock) -> Self {
         Self {
             west: 0,
             north_west: 0,
@@ -138,6 +152,7 @@ impl Walk {
             of_last: OF_LAST_TWICE[0],
             of_last_late: OF_LAST_TWICE[1],
             of_last_more: OF_LAST_MORE,
+            of_near: OF_NEAR_TWICE,
             range: 0,
             low: 0,
             out: null_mut(),
@@ -163,6 +178,12 @@ impl Walk {
             distances: null_mut(),
             half: 32 - clock.bits,
             cells: clock.cells,
+            // There are at least those of all of the window, less one: all of a window whose cells are a
+            // power of two.
+            rests: (&raw const RESTS_SIX)
+                .cast::<u8>()
+                .wrapping_add(1)
+                .wrapping_sub(32 - clock.bits as usize),
             fine: clock.fine,
             fine_symbols: 7 * clock.fine + 8,
             first_on: 0,
@@ -202,9 +223,15 @@ impl Walk {
             all_lists: null_mut(),
             all_lasts: null_mut(),
             columns_told: null_mut(),
-            advance: null_mut(),
+            rows: null_mut(),
             follows: 0,
             north_list: 0,
+            near: [0; 2],
+            prefixes: null_mut(),
+            lengths: null_mut(),
+            short: clock.bits.saturating_sub(LENGTHS as u32 - 1),
+            tries: 0,
+            trials: null_mut(),
         }
     }
 }
@@ -236,3 +263,22 @@ const fn of_last(is_late: bool) -> [u8; 16] {
 }
 
 const OF_LAST_TWICE: [[u8; 16]; 2] = [of_last(false), of_last(true)];
+
+const OF_NEAR_TWICE: [u8; 20] = {
+    let (mut contexts, mut i) = ([0; 20], 0);
+    while i < OF_NEAR.len() {
+        contexts[i] = 2 * OF_NEAR[i];
+        i += 1;
+    }
+    contexts
+};
+
+/// Of what is left of the window, from twice its power of two down: six times the context.
+static RESTS_SIX: [u8; 34] = {
+    let (mut contexts, mut i) = ([0; 34], 0);
+    while i < RESTS {
+        contexts[i] = 6 * (if i > 0 { RESTS - i } else { RESTS - 1 }) as u8;
+        i += 1;
+    }
+    contexts
+};

@@ -15,6 +15,8 @@ pub mod dense;
 pub(crate) mod dense_dsp;
 mod dense_times;
 #[cfg(eecvs_dsp)]
+mod dense_times_dsp;
+#[cfg(eecvs_dsp)]
 mod dense_walk_dsp;
 #[cfg(eecvs_dsp)]
 mod dense_walk_state_dsp;
@@ -23,8 +25,12 @@ pub mod model;
 mod neighbourhood;
 pub mod order;
 pub mod range;
+#[cfg(eecvs_dsp)]
+mod range_dsp;
 pub mod scan;
 pub mod symbols;
+#[cfg(eecvs_dsp)]
+mod symbols_dsp;
 pub mod times;
 
 pub use cells::{Cells, Fidelity};

@@ -356,8 +356,8 @@ fn dense_walk_holds(seed: u32, storage: &mut Small, (model, memory): &mut Dense)
     let Some(mut config) = config(&golden) else {
         return false;
     };
-    // Times of 6 to 17 bits, of which the walk takes up to 16.
-    config.window.window_us = [32_768, 60, 10_000, 65_536, 500, 65_537][seed as usize % 6];
+    // Times of 6 to 18 bits, of which the walk takes up to 17.
+    config.window.window_us = [32_768, 60, 10_000, 65_536, 131_073, 131_072][seed as usize % 6];
     let used = if (seed / 2).is_multiple_of(2) {
         memory.len()
     } else {
