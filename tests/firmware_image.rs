@@ -88,7 +88,8 @@ fn read(bytes: &[u8]) -> Image {
                 spans.insert(address, false);
             }
             _ if symbol.kind() == SymbolKind::Text => {
-                starts.insert(address & !1, name.to_string());
+                let end = (symbol.size() > 0).then(|| (address & !1) + symbol.size() as u32);
+                starts.insert(address & !1, (name.to_string(), end));
                 symbols.push(name.to_string());
             }
             _ => symbols.push(name.to_string()),
@@ -96,7 +97,9 @@ fn read(bytes: &[u8]) -> Image {
     }
     let mut functions = BTreeMap::new();
     let ends = starts.keys().skip(1).copied().chain([u32::MAX]);
-    for ((start, name), end) in starts.iter().zip(ends) {
+    for ((start, (name, sized)), next) in starts.iter().zip(ends) {
+        // What fills the gap to the next function are no instructions, though they look like some.
+        let end = sized.map_or(next, |end| end.min(next));
         let mut function = Function {
             name: name.clone(),
             ..Function::default()
