@@ -4,6 +4,8 @@
 //! stopped; `parse.rs` turns its stream into events; `write.rs` turns events into its stream;
 //! `camera.rs` is the [`Peripheral`] that answers a host as the device would.
 
+pub mod prophesee;
+
 use std::time::Duration;
 
 use anyhow::Result;
