@@ -117,6 +117,15 @@ impl Windows {
         }
     }
 
+    /// Events that came of a window whose end has not.
+    #[must_use]
+    pub const fn pending_events(&self) -> u64 {
+        match &self.pending {
+            Some(_) => self.pending_events as u64,
+            None => 0,
+        }
+    }
+
     /// Takes the next frame; `ready` gets the windows with events that end before or with it.
     ///
     /// # Errors

@@ -4,6 +4,7 @@
 //! stopped; `parse.rs` turns its stream into events; `write.rs` turns events into its stream;
 //! `camera.rs` is the [`Peripheral`] that answers a host as the device would.
 
+pub mod mcu;
 pub mod prophesee;
 
 use std::time::Duration;
@@ -16,7 +17,14 @@ use crate::link::control::Control;
 use crate::peripheral::Peripheral;
 
 /// Every model that is known; [`find`] looks here.
-pub static MODELS: &[&dyn Model] = &[];
+pub static MODELS: &[&dyn Model] = &[
+    &prophesee::EVK,
+    &prophesee::EVK4_EVT21,
+    &prophesee::EVK3_HD,
+    &prophesee::EVK3_GENX320,
+    &prophesee::EVK2,
+    &mcu::MCU,
+];
 
 /// A USB vendor and product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -128,7 +136,7 @@ pub const EVENTS_PER_BYTE_MAX: usize = 8;
 /// Bytes of a device's stream in, events out.
 ///
 /// No input makes a parser panic, and nothing is allocated but for `events`, which gets at most
-/// [`EVENTS_PER_BYTE_MAX`] for every byte.
+/// [`EVENTS_PER_BYTE_MAX`] for every byte; of a stream of frames, at most a window for each.
 pub trait Parse: Send {
     /// Size of the sensor: every event is inside.
     fn sensor(&self) -> Sensor;

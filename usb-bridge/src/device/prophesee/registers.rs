@@ -39,27 +39,27 @@ pub struct Sequences {
     pub stop: &'static [Step],
 }
 
-/// Takes steps; addresses count from `base`.
+/// Takes steps.
 ///
 /// # Errors
 /// The board is gone or refuses one.
-pub fn take(board: &mut Board<'_>, device: u32, base: u32, steps: &[Step]) -> Result<()> {
+pub fn take(board: &mut Board<'_>, device: u32, steps: &[Step]) -> Result<()> {
     for step in steps {
         match *step {
-            Write(address, value) => board.write(device, base + address, value)?,
+            Write(address, value) => board.write(device, address, value)?,
             Bits(address, value, bits) => {
-                let before = board.read(device, base + address)?;
-                board.write(device, base + address, before & !bits | value & bits)?;
+                let before = board.read(device, address)?;
+                board.write(device, address, before & !bits | value & bits)?;
             }
             Fill(address, count, value) => {
                 for index in 0..count {
-                    board.write(device, base + address + 4 * index, value)?;
+                    board.write(device, address + 4 * index, value)?;
                 }
             }
             Ramp(address, count, value, step) => {
                 for index in 0..count {
                     let value = value.wrapping_add(index.wrapping_mul(step));
-                    board.write(device, base + address + 4 * index, value)?;
+                    board.write(device, address + 4 * index, value)?;
                 }
             }
             Wait(microseconds) => board.control().wait(Duration::from_micros(microseconds)),
