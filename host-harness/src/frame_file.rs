@@ -125,12 +125,7 @@ impl Default for FrameOrder {
 
 impl FrameOrder {
     /// Counts a frame's place in the sequence; whether it is to be delivered. `crc` is the frame's end.
-    pub fn take(
-        &mut self,
-        header: &Header,
-        crc: [u8; CRC_BYTES],
-        report: &mut LinkReport,
-    ) -> bool {
+    pub fn take(&mut self, header: &Header, crc: [u8; CRC_BYTES], report: &mut LinkReport) -> bool {
         let number = header.sequence;
         let mut order = self.sequence.follow(number);
         if order == Order::Repeated && self.begins_anew(header, crc) {

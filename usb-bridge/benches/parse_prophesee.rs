@@ -71,8 +71,8 @@ fn written(mut writer: impl WriteStream, events: &[Event]) -> Vec<u8> {
 
 /// A camera's bytes without the file's header.
 fn own() -> Option<Vec<u8>> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../shared/data/imx636_sparse_evt3/evt3.raw");
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/imx636_sparse_evt3/evt3.raw");
     let bytes = std::fs::read(path).ok()?;
     let mut start = 0;
     while bytes.get(start) == Some(&b'%') {
@@ -91,7 +91,11 @@ fn parse(mut parser: impl Parse, bytes: &[u8], events: &mut Vec<Event>) -> u64 {
     parser.events()
 }
 
-fn decode(bytes: &[u8], events: &mut Vec<evt3::CdEvent>, triggers: &mut Vec<evt3::TriggerEvent>) -> u64 {
+fn decode(
+    bytes: &[u8],
+    events: &mut Vec<evt3::CdEvent>,
+    triggers: &mut Vec<evt3::TriggerEvent>,
+) -> u64 {
     let (mut decoder, mut count) = (Evt3Decoder::new(), 0);
     for transfer in bytes.chunks(TRANSFER) {
         events.clear();
@@ -112,9 +116,15 @@ fn benches(criterion: &mut Criterion) {
     for (name, recording) in sources() {
         let count = recording.len() as u64;
         group.throughput(Throughput::Elements(count));
-        for (order, text) in [(Order::UpperFirst, "upper first"), (Order::Little, "little")] {
+        for (order, text) in [
+            (Order::UpperFirst, "upper first"),
+            (Order::Little, "little"),
+        ] {
             let bytes = written(Evt21Stream::new(HD, order), &recording);
-            assert_eq!(parse(Evt21Parser::new(HD, order), &bytes, &mut events), count);
+            assert_eq!(
+                parse(Evt21Parser::new(HD, order), &bytes, &mut events),
+                count
+            );
             group.bench_function(BenchmarkId::new(name, text), |bencher| {
                 bencher.iter(|| parse(Evt21Parser::new(HD, order), &bytes, &mut events));
             });

@@ -143,7 +143,10 @@ fn packets_of_status_are_no_damage() {
     small.parse(bytes, &mut none);
     assert!(none.is_empty());
     let lost: Vec<_> = small.losses().iter().collect();
-    assert_eq!(lost, [("frames of another sensor", frames(bytes).len() as u64)]);
+    assert_eq!(
+        lost,
+        [("frames of another sensor", frames(bytes).len() as u64)]
+    );
 }
 
 proptest! {

@@ -177,8 +177,14 @@ fn every_model_is_found_started_and_read() {
 fn sensors_that_do_not_fit_are_refused() {
     let large = Sensor::new(1280, 721).unwrap();
     assert!(EVK.writer(large).is_none());
-    assert!(EVK3_GENX320.camera(large, Box::new(Ready(vec![]))).is_none());
-    assert!(find("evk4").is_some_and(|model| model.writer(Sensor::new(346, 260).unwrap()).is_some()));
+    assert!(
+        EVK3_GENX320
+            .camera(large, Box::new(Ready(vec![])))
+            .is_none()
+    );
+    assert!(
+        find("evk4").is_some_and(|model| model.writer(Sensor::new(346, 260).unwrap()).is_some())
+    );
 }
 
 #[test]
@@ -210,7 +216,10 @@ fn boards_that_answer_nonsense_are_refused_in_one_line() {
             treuzell::frame(treuzell::RELEASE | treuzell::FAILED, &[5, 0, 0, 0]),
             "(error 5)",
         ),
-        (treuzell::frame(treuzell::RELEASE | treuzell::FAILED, &[]), "failed"),
+        (
+            treuzell::frame(treuzell::RELEASE | treuzell::FAILED, &[]),
+            "failed",
+        ),
         (treuzell::frame(treuzell::RELEASE, &[]), "too short"),
         (treuzell::frame(treuzell::RELEASE, &[0; 4]), "reconnect"),
         (vec![0xff; 4000], "no frame"),

@@ -433,9 +433,10 @@ fn faults(stream: Stream, events: &[Event], count: u32, seed: u64) {
             parser.parse().parse(transfers[at], &mut found);
             at += 1;
         }
-        // Events before that word, of the first transfer, may be wrong or missing.
-        let before = transfers[from]
-            .chunks(stream.word_bytes())
+        // Events before that word may be wrong or missing.
+        let before = transfers[from..at]
+            .iter()
+            .flat_map(|transfer| transfer.chunks(stream.word_bytes()))
             .take_while(|word| !stream.is_time(word))
             .count();
         let expected = &all[marks[from * words + before]..marks[at * words]];
@@ -488,7 +489,10 @@ fn after_faults_events_are_right_from_the_next_word_of_time_on() {
 /// A break in the middle of a wrap: the clock tells the one that is meant.
 #[test]
 fn a_break_over_wraps_is_carried_by_the_clock() {
-    let events = events_from(10, vec![(0, 1, 2, true), (100_000_000, 3, 4, true), (5, 5, 6, false)]);
+    let events = events_from(
+        10,
+        vec![(0, 1, 2, true), (100_000_000, 3, 4, true), (5, 5, 6, false)],
+    );
     for stream in STREAMS {
         let first = stream.bytes(HD, &events[..1]);
         let all = stream.bytes(HD, &events);

@@ -169,14 +169,20 @@ impl Parse for McuParser {
             ("frames lost", self.report.frames_lost),
             ("frames that came twice", self.report.frames_repeated),
             ("frames malformed", self.report.frames_malformed),
-            ("frames without those they go on from", self.report.frames_dependent),
+            (
+                "frames without those they go on from",
+                self.report.frames_dependent,
+            ),
             ("frames of another sensor", self.other_sensors),
             ("events too late for their window", counts.events_late),
             ("events filtered by the encoder", counts.events_filtered),
             ("events dropped by the encoder", counts.events_dropped),
             ("events left out for the rate", counts.events_thinned),
             ("windows whose order is lost", counts.windows_order_lost),
-            ("events of a window that has not ended", self.windows.pending_events()),
+            (
+                "events of a window that has not ended",
+                self.windows.pending_events(),
+            ),
         ] {
             losses.add(name, count);
         }

@@ -126,9 +126,7 @@ impl TreuzellCamera {
             BUILD_DATE => frame(property, &BUILT.to_le_bytes()),
             SERIAL => frame(property, &SERIAL_NUMBER.to_le_bytes()),
             DEVICES => frame(property, &payload(&[self.devices()])),
-            NAME | COMPATIBLE if content.len() < 4 || !is_device => {
-                failed(vec![device], NO_DEVICE)
-            }
+            NAME | COMPATIBLE if content.len() < 4 || !is_device => failed(vec![device], NO_DEVICE),
             NAME | COMPATIBLE => {
                 let text = match (is_sensor, property) {
                     (false, _) => STREAMER,

@@ -5,9 +5,11 @@
 //! which [`HighTime`] carries, so that no damaged word moves them. After a break events come
 //! again once `TIME_HIGH`, `TIME_LOW` and `ADDR_Y` have.
 //!
-//! Words of the common types cost no branch that cannot be predicted: their type looks up what
-//! they change ([`EFFECTS`]), and every word writes an event, over which the next one goes where it
-//! was none.
+//! Most words come in groups: perhaps a repeated `TIME_HIGH`, perhaps a `TIME_LOW`, perhaps an `ADDR_Y`,
+//! and an `ADDR_X`. Which of the three are there cannot be predicted, so a group of any shape is taken in one
+//! step without a branch on it ([`Evt3Parser::run`]).
+
+use std::hint::select_unpredictable as pick;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 use host_harness::formats::Skipped;
@@ -20,86 +22,36 @@ use crate::device::Parse;
 
 /// Columns of the longest vector.
 const VECTOR: u16 = 12;
-/// Words of one run, at the most: what a byte counts.
-const RUN_WORDS: usize = 255;
 /// Room for the events of a run.
 const ROOM: usize = 512;
-/// Events of a run that leave room for a vector, and for the event that every word writes.
+/// Events of a run that leave room for a vector.
 const ROOM_USED_MAX: usize = ROOM - 16;
 
-/// Lanes of a parser's registers, 16 bits each: the row, the lower time, the vector's column.
-const ROW: u32 = 0;
-const LOW: u32 = 16;
-const BASE: u32 = 32;
-/// A word in each lane.
-const SPREAD: u64 = 1 << ROW | 1 << LOW | 1 << BASE;
-const LANE: u64 = 0xffff;
-/// A lane whose value has not come, or that of a vector beyond the last column.
-const NONE: u64 = 0xf000;
+/// A row, a lower time or a first column that has not come: above all that can.
+const NONE: u16 = 0xf000;
+/// The first column of a vector that begins beyond the last one of any sensor.
+const OVER: u16 = NONE + 1;
 const COLUMN: u16 = 0x7ff;
+const ON: u16 = 0x800;
+const TIME: u16 = 0xfff;
 /// A column that no sensor has.
 const BEYOND: u32 = 1 << 16;
-const ON: u16 = 0x800;
 
-/// Counts of a run, a byte each.
-const COUNTED: [&str; 8] = [
-    "events alone",
-    "rows",
-    "times, lower bits",
-    "vectors' first columns",
-    "continued words",
-    "other words",
-    "triggers",
-    "padding",
-];
+/// Words that are counted and no more, and their types.
+const COUNTED: [&str; 4] = ["continued words", "other words", "triggers", "padding"];
 
-/// What a word does.
-#[derive(Clone, Copy)]
-struct Effect {
-    /// Bits of the registers that stay.
-    keep: u64,
-    /// Bits that come from the word.
-    take: u64,
-    /// What it counts as, in the byte of its kind; 0 for a word that is not common.
-    count: u64,
-    /// 1 for an event.
-    event: usize,
+/// Which of [`COUNTED`] a type is.
+const fn counted(kind: u16) -> Option<usize> {
+    match kind {
+        0x7 | 0xf => Some(0),
+        0xe => Some(1),
+        0xa => Some(2),
+        0x9 => Some(3),
+        _ => None,
+    }
 }
 
-/// What a word of each type does.
-static EFFECTS: [Effect; 16] = {
-    let mut effects = [Effect {
-        keep: !0,
-        take: 0,
-        count: 0,
-        event: 0,
-    }; 16];
-    let mut kind = 0;
-    while kind < 16 {
-        let effect = &mut effects[kind as usize];
-        let (count, lane, bits) = match kind {
-            ADDR_X => (Some(0), 0, 0),
-            ADDR_Y => (Some(1), ROW, COLUMN),
-            TIME_LOW => (Some(2), LOW, 0xfff),
-            VECT_BASE_X => (Some(3), BASE, 0xfff),
-            0x7 | 0xf => (Some(4), 0, 0),
-            0xe => (Some(5), 0, 0),
-            0xa => (Some(6), 0, 0),
-            0x9 => (Some(7), 0, 0),
-            _ => (None, 0, 0),
-        };
-        if let Some(count) = count {
-            effect.count = 1 << (8 * count);
-        }
-        if bits != 0 {
-            effect.keep = !(LANE << lane);
-            effect.take = (bits as u64) << lane;
-        }
-        effect.event = (kind == ADDR_X) as usize;
-        kind += 1;
-    }
-    effects
-};
+const UNKNOWN: &str = "unknown words";
 
 /// Parser of EVT 3.0.
 pub struct Evt3Parser {
@@ -111,11 +63,15 @@ pub struct Evt3Parser {
     high_us: u64,
     /// The `TIME_HIGH` that changes nothing; 0, which is none, while the next one might.
     same_high: u16,
-    /// [`ROW`], [`LOW`] and [`BASE`].
-    registers: u64,
-    /// [`LOW`] after the first `TIME_HIGH`: 0 at the stream's start, [`NONE`] after a break, as that word
-    /// may be one that was repeated in the middle of its time.
-    first_low: u64,
+    /// Lower time, or [`NONE`].
+    low: u16,
+    /// [`Evt3Parser::low`] after the first `TIME_HIGH`: 0 at the stream's start, [`NONE`] after a break, as that
+    /// word may be one that was repeated in the middle of its time.
+    first_low: u16,
+    /// Row, or [`NONE`].
+    row: u16,
+    /// First column and polarity of the next vector, [`NONE`] or [`OVER`].
+    base: u16,
     /// The sensor's rows while there is a time, else 0.
     rows: u16,
     /// Where a run puts its events.
@@ -123,210 +79,230 @@ pub struct Evt3Parser {
     latest_us: Option<u64>,
     events: u64,
     /// As [`COUNTED`].
-    counted: [u64; 8],
-    times: u64,
+    counted: [u64; 4],
+    highs: u64,
+    lows: u64,
+    row_words: u64,
+    bases: u64,
+    singles: u64,
     vectors: u64,
     empty_vectors: u64,
     losses: Skipped,
 }
 
 impl Evt3Parser {
-    const REGISTERS: u64 = NONE << ROW | NONE << BASE;
-
     /// At the start of a stream of a camera with this sensor.
     #[must_use]
     pub fn new(sensor: Sensor) -> Self {
+        let nothing = Event {
+            t_us: 0,
+            x: 0,
+            y: 0,
+            polarity: Polarity::Off,
+        };
         Self {
             sensor,
             half: None,
             high: HighTime::new(),
             high_us: 0,
             same_high: 0,
-            registers: Self::REGISTERS,
+            low: 0,
             first_low: 0,
+            row: NONE,
+            base: NONE,
             rows: 0,
-            room: Box::new(
-                [Event {
-                    t_us: 0,
-                    x: 0,
-                    y: 0,
-                    polarity: Polarity::Off,
-                }; ROOM],
-            ),
+            room: Box::new([nothing; ROOM]),
             latest_us: None,
             events: 0,
-            counted: [0; 8],
-            times: 0,
+            counted: [0; 4],
+            highs: 0,
+            lows: 0,
+            row_words: 0,
+            bases: 0,
+            singles: 0,
             vectors: 0,
             empty_vectors: 0,
             losses: Skipped::default(),
         }
     }
 
-    /// Words so far, whatever they were. They are those of [`Parse::words`], the single events, the
-    /// vectors, and the unknown ones.
+    /// Words so far, whatever they were: those of [`Parse::words`], the single events, the vectors, and
+    /// the unknown ones.
     #[must_use]
     pub fn words_seen(&self) -> u64 {
         let named = self.words().iter().map(|(_, count)| count).sum::<u64>();
         let unknown = self.losses.iter().find(|(name, _)| *name == UNKNOWN);
-        named + self.counted[0] + self.vectors + unknown.map_or(0, |(_, count)| count)
+        named + self.singles + self.vectors + unknown.map_or(0, |(_, count)| count)
     }
 
-    /// Takes words up to the first that is not common, or that no run has room for; returns how many.
+    /// Takes words while they are as they should be, there are four of them to look at, and there is room
+    /// for their events; returns how many.
     fn run(&mut self, words: &[[u8; 2]], events: &mut Vec<Event>) -> usize {
         let (high_us, same_high) = (self.high_us, self.same_high);
         let (width, rows) = (self.sensor.width, self.rows);
-        let mut registers = self.registers;
+        let (mut low, mut row) = (u64::from(self.low), self.row);
         let room = &mut *self.room;
-        let (mut filled, mut counts, mut same, mut vectors) = (0, 0_u64, 0_u64, 0_u64);
-        let mut done = 0;
-        for word in words.iter().take(RUN_WORDS) {
-            let word = u16::from_le_bytes(*word);
-            let effect = &EFFECTS[usize::from(word >> 12)];
-            registers = registers & effect.keep | (u64::from(word) * SPREAD) & effect.take;
-            let row = (registers >> ROW) as u16;
-            let column = word & COLUMN;
-            room[filled % ROOM] = Event {
-                t_us: high_us | (registers >> LOW) & LANE,
-                x: column,
-                y: row,
-                polarity: Polarity::from_bool(word & ON != 0),
-            };
-            let is_outside = (column >= width) | (row >= rows);
-            if (effect.count == 0) | (is_outside & (effect.event != 0)) {
-                if word == same_high {
-                    same += 1;
-                    done += 1;
-                    continue;
-                }
-                let base = (registers >> BASE) as u16;
-                let bits = match word >> 12 {
-                    VECT_12 => word & 0xfff,
-                    VECT_8 => word & 0xff,
-                    _ => 0,
-                };
-                let first = base & COLUMN;
-                let step = if word >> 12 == VECT_12 { 12 } else { 8 };
-                let fits = base < NONE as u16 && first + step <= width && row < rows;
-                if bits == 0 || !fits || filled > ROOM_USED_MAX {
-                    break;
-                }
-                let event = Event {
-                    t_us: high_us | (registers >> LOW) & LANE,
-                    x: first,
+        let (mut highs, mut lows, mut row_words, mut singles) = (0, 0, 0, 0);
+        let (mut at, mut filled) = (0, 0);
+        while filled <= ROOM_USED_MAX
+            && let Some(four) = words.get(at..).and_then(<[_]>::first_chunk::<4>)
+        {
+            let first = u64::from_le_bytes(four.as_flattened().try_into().unwrap_or_default());
+            // Which of the words that may come before an event are there; each is shifted out.
+            let has_high = first as u16 == same_high;
+            let second = pick(has_high, first >> 16, first);
+            let has_low = second >> 12 & 0xf == u64::from(TIME_LOW);
+            let third = pick(has_low, second >> 16, second);
+            let has_row = third >> 12 & 0xf == u64::from(ADDR_Y);
+            let event = pick(has_row, third >> 16, third) as u16;
+            let new_low = pick(has_low, second & u64::from(TIME), low);
+            let new_row = pick(has_row, third as u16 & COLUMN, row);
+            let x = event & COLUMN;
+            if (event >> 12 == ADDR_X) & (x < width) & (new_row < rows) {
+                (low, row) = (new_low, new_row);
+                room[filled % ROOM] = Event {
+                    t_us: high_us | low,
+                    x,
                     y: row,
-                    polarity: Polarity::from_bool(base & ON != 0),
+                    polarity: Polarity::from_bool(event & ON != 0),
                 };
-                registers = after_vector(registers, step);
-                for bit in 0..VECTOR {
-                    room[filled % ROOM] = Event {
-                        x: first + bit,
-                        ..event
-                    };
-                    filled += usize::from(bits >> bit & 1);
-                }
-                vectors += 1;
-                done += 1;
+                filled += 1;
+                singles += 1;
+                highs += u64::from(has_high);
+                lows += u64::from(has_low);
+                row_words += u64::from(has_row);
+                at += 1 + usize::from(has_high) + usize::from(has_low) + usize::from(has_row);
                 continue;
             }
-            filled += effect.event;
-            counts += effect.count;
-            done += 1;
-            if filled > ROOM_USED_MAX {
-                break;
+            // No such group: one word by itself.
+            let word = first as u16;
+            match word >> 12 {
+                TIME_HIGH if has_high => highs += 1,
+                TIME_LOW => {
+                    low = u64::from(word & TIME);
+                    lows += 1;
+                }
+                ADDR_Y => {
+                    row = word & COLUMN;
+                    row_words += 1;
+                }
+                VECT_BASE_X => {
+                    self.base = word & TIME;
+                    self.bases += 1;
+                }
+                kind @ (VECT_12 | VECT_8) => {
+                    let step = if kind == VECT_12 { 12 } else { 8 };
+                    let bits = word & ((1 << step) - 1);
+                    let column = self.base & COLUMN;
+                    if self.base >= NONE || column + step > width || row >= rows || bits == 0 {
+                        break;
+                    }
+                    for bit in 0..VECTOR {
+                        room[filled % ROOM] = Event {
+                            t_us: high_us | low,
+                            x: column + bit,
+                            y: row,
+                            polarity: Polarity::from_bool(self.base & ON != 0),
+                        };
+                        filled += usize::from(bits >> bit & 1);
+                    }
+                    self.base = after_vector(self.base, step);
+                    self.vectors += 1;
+                }
+                kind => match counted(kind) {
+                    Some(kind) => self.counted[kind] += 1,
+                    None => break,
+                },
             }
+            at += 1;
         }
-        self.registers = registers;
-        events.extend_from_slice(&room[..filled.min(ROOM)]);
+        // Below 2^16.
+        (self.low, self.row) = (low as u16, row);
+        self.highs += highs;
+        self.lows += lows;
+        self.row_words += row_words;
+        self.singles += singles;
         self.events += filled as u64;
-        for (total, count) in self.counted.iter_mut().zip(counts.to_le_bytes()) {
-            *total += u64::from(count);
-        }
-        self.times += same;
-        self.vectors += vectors;
-        done
+        events.extend_from_slice(&room[..filled.min(ROOM)]);
+        at
     }
 
-    /// Takes a word that a run did not; `false` where a run is to take it now.
-    #[cold]
-    fn take(&mut self, word: u16, events: &mut Vec<Event>) -> bool {
+    /// Takes any word.
+    fn take(&mut self, word: u16, events: &mut Vec<Event>) {
+        // A run may have seen the lower time that was missing.
+        self.look_for_time();
         match word >> 12 {
             ADDR_X => {
-                if self.begin() {
-                    return false;
-                }
-                self.counted[0] += 1;
+                self.singles += 1;
                 self.emit((word & COLUMN).into(), 1, word & ON != 0, events);
+            }
+            ADDR_Y => {
+                self.row_words += 1;
+                self.row = word & COLUMN;
+            }
+            VECT_BASE_X => {
+                self.bases += 1;
+                self.base = word & TIME;
             }
             VECT_12 => self.vector(word & 0xfff, 12, events),
             VECT_8 => self.vector(word & 0xff, 8, events),
+            TIME_LOW => {
+                self.lows += 1;
+                self.low = word & TIME;
+            }
             TIME_HIGH => {
-                self.times += 1;
+                self.highs += 1;
                 let before = self.high.last();
-                let high = self.high.extend(u64::from(word & 0xfff));
+                let high = self.high.extend(u64::from(word & TIME));
                 self.high_us = high << TIME_BITS;
                 self.same_high = if self.high.is_trusted() { word } else { 0 };
                 match before {
-                    None => self.set(LOW, self.first_low),
-                    Some(before) if before != high => self.set(LOW, 0),
+                    None => self.low = self.first_low,
+                    Some(before) if before != high => self.low = 0,
                     Some(_) => (),
                 }
-                self.begin();
             }
-            _ => self.losses.add(UNKNOWN, 1),
+            kind => match counted(kind) {
+                Some(kind) => self.counted[kind] += 1,
+                None => self.losses.add(UNKNOWN, 1),
+            },
         }
-        true
+        self.look_for_time();
     }
 
-    /// Whether events have a time from now on and had none before.
-    fn begin(&mut self) -> bool {
-        let has_time = self.high.last().is_some() && self.lane(LOW) < NONE;
-        let begins = has_time && self.rows == 0;
-        if begins {
-            self.rows = self.sensor.height;
-        }
-        begins
-    }
-
-    fn lane(&self, lane: u32) -> u64 {
-        self.registers >> lane & LANE
-    }
-
-    fn set(&mut self, lane: u32, value: u64) {
-        self.registers = self.registers & !(LANE << lane) | value << lane;
+    fn look_for_time(&mut self) {
+        let has_time = self.high.last().is_some() && self.low < NONE;
+        self.rows = if has_time { self.sensor.height } else { 0 };
     }
 
     fn vector(&mut self, bits: u16, step: u16, events: &mut Vec<Event>) {
-        self.begin();
         if bits == 0 {
             self.empty_vectors += 1;
         } else {
             self.vectors += 1;
         }
-        let base = self.lane(BASE);
+        let base = self.base;
         if base == NONE {
             let count = u64::from(bits.count_ones());
             self.losses.add("events before the first column", count);
             return;
         }
-        self.registers = after_vector(self.registers, step);
-        let column = if base > NONE {
-            BEYOND
-        } else {
-            base as u32 & u32::from(COLUMN)
+        let column = match base {
+            OVER => BEYOND,
+            _ => u32::from(base & COLUMN),
         };
-        self.emit(column, bits, base & u64::from(ON) != 0, events);
+        self.base = after_vector(base, step);
+        self.emit(column, bits, base & ON != 0, events);
     }
 
     /// Emits what has a time, a row and a pixel of `column + i` for the bits i, and counts the rest.
     fn emit(&mut self, column: u32, bits: u16, is_on: bool, events: &mut Vec<Event>) {
-        let row = self.lane(ROW);
         let count = u64::from(bits.count_ones());
         if self.rows == 0 {
             self.losses.add("events before the first time", count);
             return;
         }
-        if row >= NONE {
+        if self.row == NONE {
             self.losses.add("events before the first row", count);
             return;
         }
@@ -334,14 +310,12 @@ impl Evt3Parser {
         while left != 0 {
             let x = u16::try_from(column + left.trailing_zeros()).unwrap_or(u16::MAX);
             left &= left - 1;
-            // Below 2^16.
-            let y = row as u16;
-            if self.sensor.contains(x, y) {
+            if self.sensor.contains(x, self.row) {
                 self.events += 1;
                 events.push(Event {
-                    t_us: self.high_us | self.lane(LOW),
+                    t_us: self.high_us | u64::from(self.low),
                     x,
-                    y,
+                    y: self.row,
                     polarity: Polarity::from_bool(is_on),
                 });
             } else {
@@ -351,32 +325,26 @@ impl Evt3Parser {
     }
 
     fn words_of(&mut self, mut words: &[[u8; 2]], events: &mut Vec<Event>) {
-        while !words.is_empty() {
+        while let Some((word, rest)) = words.split_first() {
             let done = self.run(words, events);
-            words = &words[done..];
-            if done == 0
-                && let Some((word, rest)) = words.split_first()
-                && self.take(u16::from_le_bytes(*word), events)
-            {
+            if done == 0 {
+                self.take(u16::from_le_bytes(*word), events);
                 words = rest;
+            } else {
+                words = &words[done..];
             }
         }
     }
 }
 
-const UNKNOWN: &str = "unknown words";
-
-/// The registers after a vector: the next one begins `step` columns further, and beyond the last column
-/// of any sensor nowhere.
-const fn after_vector(registers: u64, step: u16) -> u64 {
-    let base = registers >> BASE & LANE;
-    let next = (base & COLUMN as u64) + step as u64;
-    let next = if base > NONE || next > COLUMN as u64 {
-        NONE + 1
+/// The first column of the next vector after one of `step` columns.
+const fn after_vector(base: u16, step: u16) -> u16 {
+    let next = (base & COLUMN) + step;
+    if base >= NONE || next > COLUMN {
+        OVER
     } else {
-        base & ON as u64 | next
-    };
-    registers & !(LANE << BASE) | next << BASE
+        base & ON | next
+    }
 }
 
 impl Parse for Evt3Parser {
@@ -397,8 +365,8 @@ impl Parse for Evt3Parser {
         let (words, rest) = bytes.as_chunks();
         self.words_of(words, events);
         self.half = rest.first().copied();
-        if self.high.last().is_some() && self.lane(LOW) < NONE {
-            self.latest_us = Some(self.high_us | self.lane(LOW));
+        if self.high.last().is_some() && self.low < NONE {
+            self.latest_us = Some(self.high_us | u64::from(self.low));
         }
     }
 
@@ -410,7 +378,7 @@ impl Parse for Evt3Parser {
         self.same_high = 0;
         self.rows = 0;
         self.first_low = NONE;
-        self.registers = NONE << ROW | NONE << LOW | NONE << BASE;
+        (self.low, self.row, self.base) = (NONE, NONE, NONE);
     }
 
     fn time_us(&self) -> Option<u64> {
@@ -423,10 +391,13 @@ impl Parse for Evt3Parser {
 
     fn words(&self) -> Skipped {
         let mut words = Skipped::default();
-        for (name, count) in COUNTED.into_iter().zip(self.counted).skip(1) {
+        for (name, count) in COUNTED.into_iter().zip(self.counted) {
             words.add(name, count);
         }
-        words.add("times, upper bits", self.times);
+        words.add("times, upper bits", self.highs);
+        words.add("times, lower bits", self.lows);
+        words.add("rows", self.row_words);
+        words.add("vectors' first columns", self.bases);
         words.add("empty vectors", self.empty_vectors);
         words
     }

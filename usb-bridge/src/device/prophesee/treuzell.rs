@@ -216,7 +216,10 @@ mod tests {
         let expected = [
             0x02, 0x01, 0x01, 0x40, 0x0c, 0, 0, 0, 0, 0, 0, 0, 0x28, 0x90, 0, 0, 2, 0, 0, 0,
         ];
-        assert_eq!(frame(REGISTERS | WRITE, &payload(&[0, 0x9028, 2])), expected);
+        assert_eq!(
+            frame(REGISTERS | WRITE, &payload(&[0, 0x9028, 2])),
+            expected
+        );
         assert_eq!(frame(SERIAL, &[]), [0x72, 0, 0, 0, 0, 0, 0, 0]);
     }
 

@@ -127,7 +127,10 @@ mod tests {
             1 << 60 | low | x | y | 0x80,
             0x39 << 54 | 0x80 << 43 | y | 1,
         ];
-        let little: Vec<u8> = expected.iter().flat_map(|word| word.to_le_bytes()).collect();
+        let little: Vec<u8> = expected
+            .iter()
+            .flat_map(|word| word.to_le_bytes())
+            .collect();
         assert_eq!(words(Order::Little), little);
         let halves = expected.iter().flat_map(|word| {
             let (upper, lower) = ((word >> 32) as u32, *word as u32);

@@ -229,16 +229,24 @@ mod tests {
         assert!((high.count() as u64).abs_diff(expected) <= 1);
         let mut stream = Evt3Stream::new(SENSOR);
         let error = stream
-            .write(&[event(0, 1, 1, true), event(1 << 50, 1, 1, true)], &mut vec![])
+            .write(
+                &[event(0, 1, 1, true), event(1 << 50, 1, 1, true)],
+                &mut vec![],
+            )
             .unwrap_err();
         assert!(error.to_string().starts_with("event 1: "), "{error}");
-        let outside = stream.write(&[event(1, 1280, 1, true)], &mut vec![]).unwrap_err();
+        let outside = stream
+            .write(&[event(1, 1280, 1, true)], &mut vec![])
+            .unwrap_err();
         assert!(outside.to_string().starts_with("event 1 "), "{outside}");
     }
 
     #[test]
     fn a_time_after_many_wraps_is_reached() {
-        let events = [event(1 << 32, 5, 6, false), event((1 << 32) + 1, 5, 6, true)];
+        let events = [
+            event(1 << 32, 5, 6, false),
+            event((1 << 32) + 1, 5, 6, true),
+        ];
         let (mut bytes, mut parsed) = (Vec::new(), Vec::new());
         Evt3Stream::new(SENSOR).write(&events, &mut bytes).unwrap();
         assert!(bytes.len() < 1 << 14);
