@@ -112,7 +112,7 @@ fn events(sensor: Sensor) -> Vec<Event> {
         t_us: u64::from(at) * 37,
         x: at * 7 % sensor.width,
         y: at * 3 % sensor.height,
-        polarity: Polarity::from_bool(at % 2 == 0),
+        polarity: Polarity::from_bool(at.is_multiple_of(2)),
     };
     (0..5000).map(event).collect()
 }

@@ -289,6 +289,11 @@ proptest! {
         parser.parse().parse(&bytes[at..], &mut events);
         prop_assert!(events.iter().all(|event| sensor.contains(event.x, event.y)));
         prop_assert_eq!(parser.parse().events(), events.len() as u64);
+        parser.parse().resume(None);
+        let losses = parser.parse().losses();
+        let rest = losses.iter().find(|(name, _)| *name == "bytes of an incomplete word");
+        let in_words = parser.words_seen() * stream.word_bytes() as u64;
+        prop_assert_eq!(in_words + rest.map_or(0, |(_, count)| count), bytes.len() as u64);
     }
 }
 

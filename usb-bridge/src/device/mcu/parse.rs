@@ -29,6 +29,8 @@ pub struct McuParser {
     report: LinkReport,
     windows: Windows,
     ready: Vec<DecodedWindow>,
+    /// Events found at a break, for the next call.
+    late: Vec<Event>,
     decoder: Option<EventDecoder>,
     time_us: Option<u64>,
     events: u64,
@@ -49,6 +51,7 @@ impl McuParser {
             report: LinkReport::default(),
             windows: Windows::default(),
             ready: Vec::new(),
+            late: Vec::new(),
             decoder: None,
             time_us: None,
             events: 0,
@@ -122,6 +125,7 @@ impl Parse for McuParser {
     }
 
     fn parse(&mut self, bytes: &[u8], events: &mut Vec<Event>) {
+        events.append(&mut self.late);
         for piece in bytes.chunks(FRAME_BYTES_MAX) {
             self.messages.push(piece);
             self.take(events);
@@ -129,12 +133,13 @@ impl Parse for McuParser {
     }
 
     fn resume(&mut self, _: Option<u64>) {
-        // Whole frames inside of what has begun are counted as lost with it: nobody asks for their events.
-        let mut rest = Vec::new();
+        // Inside of what has begun there may be whole frames.
+        let mut late = std::mem::take(&mut self.late);
         while self.messages.has_begun() {
             self.messages.give_up();
-            self.take(&mut rest);
+            self.take(&mut late);
         }
+        self.late = late;
     }
 
     fn time_us(&self) -> Option<u64> {

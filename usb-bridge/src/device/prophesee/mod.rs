@@ -15,7 +15,7 @@
 //! be simulated, and for the EVK2, which is a board of its own.
 
 pub mod camera;
-pub mod high_time;
+mod high_time;
 pub mod parse_evt21;
 pub mod parse_evt3;
 pub mod registers;
@@ -84,6 +84,7 @@ pub struct Prophesee {
     name: &'static str,
     identities: &'static [Identity],
     /// What a simulated one is.
+    simulated: Identity,
     chip: Chip,
     format: Format,
 }
@@ -106,6 +107,7 @@ pub static EVK: Prophesee = Prophesee {
         identity(0x31F7, 0x0004),
         identity(0x1409, 0x8E00),
     ],
+    simulated: identity(0x04B4, 0x00F5),
     chip: Chip::Imx636,
     format: Format::Evt3,
 };
@@ -114,6 +116,7 @@ pub static EVK: Prophesee = Prophesee {
 pub static EVK4_EVT21: Prophesee = Prophesee {
     name: "evk4-evt21",
     identities: &[],
+    simulated: identity(0x04B4, 0x00F5),
     chip: Chip::Imx636,
     format: Format::Evt21(Order::UpperFirst),
 };
@@ -122,6 +125,7 @@ pub static EVK4_EVT21: Prophesee = Prophesee {
 pub static EVK3_HD: Prophesee = Prophesee {
     name: "evk3-hd",
     identities: &[],
+    simulated: identity(0x04B4, 0x00F4),
     chip: Chip::Gen41,
     format: Format::Evt3,
 };
@@ -130,6 +134,7 @@ pub static EVK3_HD: Prophesee = Prophesee {
 pub static EVK3_GENX320: Prophesee = Prophesee {
     name: "evk3-genx320",
     identities: &[],
+    simulated: identity(0x04B4, 0x00F5),
     chip: Chip::Genx320,
     format: Format::Evt21(Order::Little),
 };
@@ -138,23 +143,10 @@ pub static EVK3_GENX320: Prophesee = Prophesee {
 pub static EVK2: Prophesee = Prophesee {
     name: "evk2",
     identities: &[identity(0x03FD, 0x5832)],
+    simulated: identity(0x03FD, 0x5832),
     chip: Chip::Evk2Imx636,
     format: Format::Evt3,
 };
-
-impl Prophesee {
-    /// The USB identity of a simulated one.
-    fn simulated_identity(&self) -> Identity {
-        let of_board = EVK.identities.iter().skip(1);
-        let mut identities = self.identities.iter().skip(1).chain(self.identities);
-        let mut board = of_board.chain(EVK.identities);
-        identities
-            .next()
-            .or_else(|| board.next())
-            .copied()
-            .unwrap_or(identity(0x04B4, 0x00F5))
-    }
-}
 
 impl Model for Prophesee {
     fn name(&self) -> &'static str {
@@ -245,8 +237,7 @@ impl Model for Prophesee {
 
     fn camera(&self, sensor: Sensor, stream: Box<dyn Stream>) -> Option<Box<dyn Peripheral>> {
         self.fits(sensor)?;
-        let identity = self.simulated_identity();
-        let camera = TreuzellCamera::new(identity, self.chip, self.format, stream);
+        let camera = TreuzellCamera::new(self.simulated, self.chip, self.format, stream);
         Some(Box::new(camera))
     }
 }
