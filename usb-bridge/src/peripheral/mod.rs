@@ -17,7 +17,10 @@
 pub mod attached;
 pub mod descriptors;
 pub mod sequence;
+pub mod socket;
 pub mod standard;
+pub mod usbip;
+pub mod usbredir;
 
 use crate::link::control::Request;
 

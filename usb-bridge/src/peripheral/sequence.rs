@@ -135,6 +135,13 @@ impl SequenceDevice {
         }
     }
 
+    /// Its product is called `name`.
+    #[must_use]
+    pub fn named(mut self, name: &str) -> Self {
+        self.descriptors.strings[1] = name.to_owned();
+        self
+    }
+
     /// The stream waits for ever after `bytes`.
     #[must_use]
     pub fn end_at(mut self, bytes: u64) -> Self {
