@@ -2,7 +2,8 @@
 //!
 //! `guest-check serve SOCKET` has the devices, one after the other, on the host;
 //! `guest-check run` is the guest's side, which asks for the next one when it is done with one;
-//! `guest-check usbip` has both in the guest, with the kernel's vhci-hcd between them.
+//! `guest-check usbip` has both in the guest, with the kernel's vhci-hcd between them;
+//! `guest-check all` is both, in the guest.
 
 #![expect(
     unsafe_code,
@@ -39,7 +40,7 @@ const CONTROL_TIME: Duration = Duration::from_secs(5);
 struct Case {
     name: &'static str,
     device: fn() -> SequenceDevice,
-    run: fn(DeviceHandle<Context>) -> Result<()>,
+    run: fn(&Arc<DeviceHandle<Context>>) -> Result<()>,
 }
 
 const CASES: &[Case] = &[
@@ -87,8 +88,9 @@ fn main() -> ExitCode {
         ["serve", path] => serve(path),
         ["run"] => run(),
         ["usbip"] => vhci::run(),
+        ["all"] => run().and_then(|()| vhci::run()),
         _ => Err(anyhow::anyhow!(
-            "usage: guest-check serve SOCKET | run | usbip"
+            "usage: guest-check serve SOCKET | run | usbip | all"
         )),
     };
     match result {
@@ -107,7 +109,9 @@ fn serve(path: &str) -> Result<()> {
     // The receiver is here.
     let _ = changes.send(plug(0, &changes));
     let (mut socket, _) = listener.accept()?;
-    let report = socket::serve(&mut socket, &mut UsbRedir::new(), &cable)?;
+    let report = socket::serve(&mut socket, &mut UsbRedir::new(), &mut || {
+        cable.try_recv().ok()
+    })?;
     println!("{report:?}");
     ensure!(
         report.packets_odd == 0 && !report.is_rejected,
@@ -138,7 +142,7 @@ fn run() -> Result<()> {
         let started = Instant::now();
         let handle = open(case.name).context(case.name)?;
         let found = started.elapsed();
-        (case.run)(handle).context(case.name)?;
+        (case.run)(&Arc::new(handle)).context(case.name)?;
         println!(
             "ok: {} (found after {} ms, took {} ms)",
             case.name,
@@ -194,15 +198,19 @@ fn next(handle: &DeviceHandle<Context>) {
 }
 
 /// Reads a stream until `bytes` have come, with `stalls` on the way.
-fn stream(handle: DeviceHandle<Context>, bytes: u64, stalls: u32, pause: Duration) -> Result<()> {
-    let handle = Arc::new(handle);
+fn stream(
+    handle: &Arc<DeviceHandle<Context>>,
+    bytes: u64,
+    stalls: u32,
+    pause: Duration,
+) -> Result<()> {
     let mut queue = Queue::new(handle.clone(), sequence::STREAM, TRANSFERS.0, TRANSFERS.1)?;
     // Nothing comes before the start.
     ensure!(matches!(
         queue.receive(Duration::from_millis(50))?,
         Received::Nothing
     ));
-    vendor_out(&handle, sequence::START, &[])?;
+    vendor_out(handle, sequence::START, &[])?;
     let mut check = Check::default();
     let mut stalls_found = 0;
     while check.bytes() < bytes {
@@ -218,7 +226,7 @@ fn stream(handle: DeviceHandle<Context>, bytes: u64, stalls: u32, pause: Duratio
     }
     ensure!(stalls_found == stalls, "{stalls_found} stalls");
     // What flows when the stream is held still comes, to the last byte.
-    vendor_out(&handle, sequence::STOP, &[])?;
+    vendor_out(handle, sequence::STOP, &[])?;
     while let Received::Bytes { bytes, .. } = queue.receive(Duration::from_millis(200))? {
         check.take(bytes);
     }
@@ -237,14 +245,14 @@ fn stream(handle: DeviceHandle<Context>, bytes: u64, stalls: u32, pause: Duratio
         check.bytes()
     );
     drop(queue);
-    next(&handle);
+    next(handle);
     Ok(())
 }
 
 /// Requests and bulk endpoints that carry commands.
-fn commands(handle: DeviceHandle<Context>) -> Result<()> {
+fn commands(handle: &Arc<DeviceHandle<Context>>) -> Result<()> {
     let note: Vec<u8> = (0..64).collect();
-    vendor_out(&handle, sequence::NOTE, &note)?;
+    vendor_out(handle, sequence::NOTE, &note)?;
     let mut back = [0; 100];
     let length = handle.read_control(0xC0, sequence::NOTE, 0, 0, &mut back, CONTROL_TIME)?;
     ensure!(back[..length] == note[..], "the note came back otherwise");
@@ -273,15 +281,14 @@ fn commands(handle: DeviceHandle<Context>) -> Result<()> {
     handle.write_bulk(sequence::COMMANDS, &[2], CONTROL_TIME)?;
     let come = handle.read_bulk(sequence::ANSWERS, &mut back, CONTROL_TIME)?;
     ensure!(back[..come] == [2], "an answer differs");
-    next(&handle);
+    next(handle);
     Ok(())
 }
 
 /// The device leaves in the middle of its stream.
-fn unplugged(handle: DeviceHandle<Context>) -> Result<()> {
-    let handle = Arc::new(handle);
+fn unplugged(handle: &Arc<DeviceHandle<Context>>) -> Result<()> {
     let mut queue = Queue::new(handle.clone(), sequence::STREAM, TRANSFERS.0, TRANSFERS.1)?;
-    vendor_out(&handle, sequence::START, &[])?;
+    vendor_out(handle, sequence::START, &[])?;
     let mut check = Check::default();
     let mut is_asked = false;
     loop {
@@ -292,7 +299,7 @@ fn unplugged(handle: DeviceHandle<Context>) -> Result<()> {
         }
         if check.bytes() > BYTES / 4 && !is_asked {
             is_asked = true;
-            next(&handle);
+            next(handle);
         }
     }
     ensure!(

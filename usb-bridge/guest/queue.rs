@@ -14,19 +14,19 @@ use rusb::constants::{
 use rusb::{Context, DeviceHandle, UsbContext, ffi};
 use usb_bridge::link::{Link, LinkError, Loss, Received};
 
-/// A transfer, its buffer, and whether libusb has ended it. Boxed: libusb keeps its address.
+/// A transfer, its buffer, and whether libusb has ended it: libusb keeps the addresses of the latter.
 struct Slot {
     transfer: *mut ffi::libusb_transfer,
     buffer: Vec<u8>,
-    done: AtomicI32,
+    done: Box<AtomicI32>,
 }
 
 /// The stream of one bulk endpoint.
 pub struct Queue {
     handle: Arc<DeviceHandle<Context>>,
     endpoint: u8,
-    in_flight: VecDeque<Box<Slot>>,
-    idle: Vec<Box<Slot>>,
+    in_flight: VecDeque<Slot>,
+    idle: Vec<Slot>,
 }
 
 // SAFETY: libusb's transfers may be used from any thread, one at a time, and the slots are not shared.
@@ -50,11 +50,11 @@ impl Queue {
             // SAFETY: allocates; the result is checked.
             let transfer = unsafe { ffi::libusb_alloc_transfer(0) };
             ensure!(!transfer.is_null(), "no memory for a transfer");
-            queue.idle.push(Box::new(Slot {
+            queue.idle.push(Slot {
                 transfer,
                 buffer: vec![0; bytes],
-                done: AtomicI32::new(0),
-            }));
+                done: Box::new(AtomicI32::new(0)),
+            });
         }
         queue.submit().map_err(anyhow::Error::from)?;
         Ok(queue)
@@ -64,7 +64,7 @@ impl Queue {
     fn submit(&mut self) -> Result<(), LinkError> {
         while let Some(mut slot) = self.idle.pop() {
             slot.done.store(0, Ordering::Relaxed);
-            // SAFETY: the transfer is libusb's own and idle; the buffer and the flag live in the box
+            // SAFETY: the transfer is libusb's own and idle; the buffer and the flag keep their places
             // until the transfer has ended, which `drop` waits for.
             let result = unsafe {
                 ffi::libusb_fill_bulk_transfer(
@@ -74,7 +74,7 @@ impl Queue {
                     slot.buffer.as_mut_ptr(),
                     slot.buffer.len() as c_int,
                     ended,
-                    std::ptr::from_ref(&slot.done).cast_mut().cast(),
+                    std::ptr::from_ref(&*slot.done).cast_mut().cast(),
                     0,
                 );
                 ffi::libusb_submit_transfer(slot.transfer)

@@ -44,10 +44,10 @@ pub fn run() -> Result<()> {
         std::fs::write(ATTACH, line).context(ATTACH)?;
         let served = std::thread::spawn(move || {
             let mut session = UsbIp::new(Box::new(device));
-            socket::serve(&mut server, &mut session, &cable)
+            socket::serve(&mut server, &mut session, &mut || cable.try_recv().ok())
         });
         let handle = open(case.name).context(case.name)?;
-        (case.run)(handle).context(case.name)?;
+        (case.run)(&std::sync::Arc::new(handle)).context(case.name)?;
         let report = served.join().expect("the server's thread")?;
         ensure!(report.packets_odd == 0, "{report:?}");
         println!("ok: USB/IP: {}", case.name);

@@ -88,6 +88,9 @@ impl Check {
     }
 }
 
+/// What a note causes.
+type OnNote = Box<dyn FnMut(&[u8]) + Send>;
+
 /// A device that sends the sequence.
 pub struct SequenceDevice {
     descriptors: Descriptors,
@@ -100,7 +103,7 @@ pub struct SequenceDevice {
     paused: u32,
     note: Vec<u8>,
     answers: VecDeque<Vec<u8>>,
-    on_note: Box<dyn FnMut(&[u8]) + Send>,
+    on_note: OnNote,
 }
 
 impl SequenceDevice {

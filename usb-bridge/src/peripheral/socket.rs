@@ -5,8 +5,8 @@
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
+#[cfg(unix)]
 use std::os::unix::net::UnixStream;
-use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -98,6 +98,7 @@ pub trait Socket: Read + Write {
     fn set_waiting(&self, waits: bool) -> io::Result<()>;
 }
 
+#[cfg(unix)]
 impl Socket for UnixStream {
     fn set_waiting(&self, waits: bool) -> io::Result<()> {
         self.set_read_timeout(Some(QUIET))?;
@@ -123,30 +124,26 @@ enum Moved {
     Closed,
 }
 
-/// Serves a host until it leaves, or the cable is pulled for good, or the device that `changes`
-/// speaks of has nobody left who could plug anything.
+/// Serves a host until it leaves, or the cable is pulled for good; `changes` is asked in between.
 ///
 /// # Errors
 /// The host breaks the protocol; the system refuses the socket.
 pub fn serve(
     socket: &mut impl Socket,
     session: &mut dyn Session,
-    changes: &Receiver<Change>,
+    changes: &mut dyn FnMut() -> Option<Change>,
 ) -> Result<Report> {
     let mut bytes = vec![0; READ_BYTES];
     let mut pause = PAUSE_MIN;
     let mut waiting = None;
     loop {
         let mut is_busy = false;
-        match changes.try_recv() {
-            Ok(change) => {
-                is_busy = true;
-                if !session.change(change) {
-                    flush(socket, session.output())?;
-                    return Ok(session.report());
-                }
+        if let Some(change) = changes() {
+            is_busy = true;
+            if !session.change(change) {
+                flush(socket, session.output())?;
+                return Ok(session.report());
             }
-            Err(TryRecvError::Empty | TryRecvError::Disconnected) => {}
         }
         let mut has_more = true;
         while has_more && session.output().len() < OUTPUT_MAX {
