@@ -1,0 +1,3 @@
+//! Subcommands of `eecvs-usb`, one file each, their flags beside them.
+
+pub mod list;
