@@ -4,8 +4,13 @@
 //! stand around any of them and are links themselves.
 
 pub mod control;
+pub mod faults;
+pub mod loopback;
+pub mod raw_file;
+pub mod replay;
 pub mod serial;
 pub mod tcp;
+pub mod trace;
 pub mod usb;
 
 use std::time::{Duration, Instant};
