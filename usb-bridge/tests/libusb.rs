@@ -147,7 +147,8 @@ fn receive(link: &mut dyn Link, words: usize) -> Got {
                 assert!(!bytes.is_empty() && at <= Instant::now());
                 let (whole, rest) = bytes.as_chunks::<4>();
                 assert!(rest.is_empty());
-                got.words.extend(whole.iter().map(|word| u32::from_le_bytes(*word)));
+                got.words
+                    .extend(whole.iter().map(|word| u32::from_le_bytes(*word)));
             }
             Ok(Received::Lost { cause, .. }) => got.losses.push((got.words.len(), cause)),
             Ok(Received::Nothing | Received::Ended) => break,
@@ -162,7 +163,10 @@ fn receive(link: &mut dyn Link, words: usize) -> Got {
 
 fn counts_from_zero(words: &[u32]) {
     assert!(
-        words.iter().enumerate().all(|(index, &word)| index as u32 == word),
+        words
+            .iter()
+            .enumerate()
+            .all(|(index, &word)| index as u32 == word),
         "out of order"
     );
 }
@@ -180,7 +184,10 @@ fn a_device_is_found_asked_and_told() {
     assert_eq!(attached.product_name.as_deref(), Some("Counter"));
     assert_eq!(attached.serial.as_deref(), Some("C0001"));
     let told = attached.require_super_speed().unwrap_err().to_string();
-    assert!(told.contains("is connected at 480 Mbit/s; it needs USB 3"), "{told}");
+    assert!(
+        told.contains("is connected at 480 Mbit/s; it needs USB 3"),
+        "{told}"
+    );
     assert!(matches!(attached.try_use(0), (Use::Free, Some(_))));
 
     let device = attached.open(0).unwrap();
@@ -224,9 +231,13 @@ fn every_byte_comes_in_order_and_the_stop_loses_none() {
     let mut control = device.control();
     let mut link = device.stream(&TRANSFERS).unwrap();
     assert_eq!(link.in_flight(), TRANSFERS.count);
-    control.control_out(Request::vendor_out(START, 0, 0), &[]).unwrap();
+    control
+        .control_out(Request::vendor_out(START, 0, 0), &[])
+        .unwrap();
     let mut got = receive(&mut link, 500_000).words;
-    control.control_out(Request::vendor_out(STOP, 0, 0), &[]).unwrap();
+    control
+        .control_out(Request::vendor_out(STOP, 0, 0), &[])
+        .unwrap();
     got.extend(receive(&mut link, usize::MAX).words);
     counts_from_zero(&got);
     let mut number = [0; 4];
@@ -261,7 +272,9 @@ fn a_pause_hands_over_by_the_oldest_transfer_alone() {
         control
             .control_out(Request::vendor_out(LIMIT, 0, 0), &words.to_le_bytes())
             .unwrap();
-        control.control_out(Request::vendor_out(START, 0, 0), &[]).unwrap();
+        control
+            .control_out(Request::vendor_out(START, 0, 0), &[])
+            .unwrap();
     };
     limit(10_000);
     let mut got = receive(&mut link, 10_000).words;
@@ -284,7 +297,9 @@ fn an_unplugged_device_gives_what_it_sent_and_then_says_so() {
     let device = attached().open(0).unwrap();
     let mut control = device.control();
     let mut link = device.stream(&TRANSFERS).unwrap();
-    control.control_out(Request::vendor_out(START, 0, 0), &[]).unwrap();
+    control
+        .control_out(Request::vendor_out(START, 0, 0), &[])
+        .unwrap();
     let got = receive(&mut link, usize::MAX);
     counts_from_zero(&got.words);
     assert_eq!(got.words.len(), 25 * (2048 + 1 + 1024));
@@ -308,7 +323,9 @@ fn a_halt_is_ended_once_and_told() {
     let device = attached().open(0).unwrap();
     let mut link = device.stream(&TRANSFERS).unwrap();
     let mut control = device.control();
-    control.control_out(Request::vendor_out(START, 0, 0), &[]).unwrap();
+    control
+        .control_out(Request::vendor_out(START, 0, 0), &[])
+        .unwrap();
     let got = receive(&mut link, 50_000);
     counts_from_zero(&got.words);
     assert_eq!(got.losses, [(0, Loss::Stalled)]);
@@ -372,7 +389,9 @@ fn overflows_and_errors_of_the_wire_are_told_and_too_many_end_it() {
     let device = attached().open(0).unwrap();
     let mut link = device.stream(&TRANSFERS).unwrap();
     let mut control = device.control();
-    control.control_out(Request::vendor_out(START, 0, 0), &[]).unwrap();
+    control
+        .control_out(Request::vendor_out(START, 0, 0), &[])
+        .unwrap();
     let got = receive(&mut link, 50_000);
     counts_from_zero(&got.words);
     assert_eq!(got.losses, [(0, Loss::Overflow), (0, Loss::Damaged)]);
@@ -407,7 +426,9 @@ fn a_kernel_without_memory_for_all_transfers_has_fewer_in_flight() {
     let mut link = device.stream(&TRANSFERS).unwrap();
     assert_eq!(link.in_flight(), 3);
     let mut control = device.control();
-    control.control_out(Request::vendor_out(START, 0, 0), &[]).unwrap();
+    control
+        .control_out(Request::vendor_out(START, 0, 0), &[])
+        .unwrap();
     counts_from_zero(&receive(&mut link, 50_000).words);
 }
 
@@ -439,13 +460,57 @@ fn a_device_in_use_is_left_alone() {
 }
 
 #[test]
+fn a_device_without_permission_says_which_rule_to_install() {
+    let name = "a_device_without_permission_says_which_rule_to_install";
+    if under_umockdev() {
+        let attached = attached();
+        assert_eq!(attached.serial.as_deref(), Some("C0001"));
+        assert!(matches!(attached.try_use(0), (Use::Forbidden, None)));
+        let told = attached.open(0).unwrap_err().to_string();
+        assert!(
+            told.contains(
+                "SUBSYSTEM==\"usb\", ATTR{idVendor}==\"152a\", ATTR{idProduct}==\"8419\""
+            ),
+            "{told}"
+        );
+        return;
+    }
+    let Some(mocked) = Mocked::new(Counter::boxed()) else {
+        return;
+    };
+    mocked.forbid();
+    // Root may open everything: another user then, who must be able to run this program.
+    let program = std::env::current_exe().unwrap();
+    let other = |command: &mut std::process::Command| {
+        command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]);
+        command.arg(&program).args([name, "--exact", "--nocapture"]);
+        command.output()
+    };
+    let mut command = mocked.command_for("setpriv");
+    match other(command.env("EECVS_TEST_UNDER_UMOCKDEV", "1")) {
+        Err(error) => eprintln!("skipped: setpriv: {error}"),
+        Ok(output) => {
+            let told = String::from_utf8_lossy(&output.stderr);
+            if told.contains("setpriv: ") {
+                eprintln!("skipped: {}", told.trim());
+            } else {
+                assert!(output.status.success(), "{told}");
+                assert!(String::from_utf8_lossy(&output.stdout).contains("1 passed"));
+            }
+        }
+    }
+}
+
+#[test]
 fn streams_are_dropped_at_any_moment() {
     if !under_umockdev() {
         return mocked("streams_are_dropped_at_any_moment", |_| {}, |_| {});
     }
     let device = attached().open(0).unwrap();
     let mut control = device.control();
-    control.control_out(Request::vendor_out(START, 0, 0), &[]).unwrap();
+    control
+        .control_out(Request::vendor_out(START, 0, 0), &[])
+        .unwrap();
     for round in 0..20 {
         let mut link = device.stream(&TRANSFERS).unwrap();
         for _ in 0..round {
@@ -474,9 +539,8 @@ fn removals_are_told() {
             .stdout(std::process::Stdio::piped())
             .spawn()
             .unwrap();
-        let mut lines = std::io::BufRead::lines(std::io::BufReader::new(
-            host.stdout.take().unwrap(),
-        ));
+        let mut lines =
+            std::io::BufRead::lines(std::io::BufReader::new(host.stdout.take().unwrap()));
         assert!(lines.any(|line| line.unwrap().contains("arrived usb:1-4")));
         mocked.unplug();
         assert!(lines.any(|line| line.unwrap().contains("left usb:1-4")));

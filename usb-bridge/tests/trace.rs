@@ -86,7 +86,8 @@ fn write(path: &Path) {
 
     let (mut near, far) = pair(1 << 20);
     for number in 0..5u8 {
-        near.send(&vec![number; 1000 + usize::from(number)]).unwrap();
+        near.send(&vec![number; 1000 + usize::from(number)])
+            .unwrap();
     }
     drop(near);
     let drops = Plan {
@@ -138,7 +139,10 @@ fn the_bytes_are_those_of_usbmon() {
         assert_eq!((submission[8], completion[8]), (b'S', b'C'));
         assert_eq!(submission[..8], completion[..8], "the same transfer");
         for data in [submission, completion] {
-            assert_eq!((data[11], data[12..14].to_vec()), (17, 3u16.to_ne_bytes().to_vec()));
+            assert_eq!(
+                (data[11], data[12..14].to_vec()),
+                (17, 3u16.to_ne_bytes().to_vec())
+            );
             assert_eq!(word(data, 36) as usize, data.len() - 64);
         }
     }
@@ -150,7 +154,10 @@ fn the_bytes_are_those_of_usbmon() {
     let lost = &packets[7].1;
     assert_eq!((lost[9], lost[10], word(lost, 28) as i32), (3, 0x82, -71));
     let transfer = &packets[9].1;
-    assert_eq!((transfer[9], transfer[10], transfer.len()), (3, 0x82, 64 + 1001));
+    assert_eq!(
+        (transfer[9], transfer[10], transfer.len()),
+        (3, 0x82, 64 + 1001)
+    );
     assert!(transfer[64..].iter().all(|&byte| byte == 1));
 }
 
@@ -169,7 +176,9 @@ fn wireshark_decodes_it() {
         "usb.urb_status",
     ];
     let mut command = Command::new("tshark");
-    command.args(["-T", "fields", "-E", "separator=,", "-r"]).arg(&path);
+    command
+        .args(["-T", "fields", "-E", "separator=,", "-r"])
+        .arg(&path);
     for field in fields {
         command.args(["-e", field]);
     }

@@ -99,7 +99,8 @@ fn row(attached: &Attached) -> Option<Row> {
 /// Columns under their names, and problems below.
 fn table(rows: &[Row]) -> String {
     let dash = |text: &Option<String>| text.clone().unwrap_or_else(|| "-".to_owned());
-    let mut lines = vec![["ID", "MODEL", "NAME", "SERIAL", "SPEED", "USE", "FIRMWARE"].map(str::to_owned)];
+    let mut lines =
+        vec![["ID", "MODEL", "NAME", "SERIAL", "SPEED", "USE", "FIRMWARE"].map(str::to_owned)];
     lines.extend(rows.iter().map(|row| {
         [
             row.id.clone(),

@@ -399,7 +399,10 @@ mod tests {
         assert!(told.is_empty() && log.is_empty());
         assert_eq!(got.len(), 2000);
         assert!(got.is_sorted());
-        assert_eq!((counts.pieces, counts.bytes, counts.bytes_lost), (20, 2000, 0));
+        assert_eq!(
+            (counts.pieces, counts.bytes, counts.bytes_lost),
+            (20, 2000, 0)
+        );
     }
 
     #[test]
@@ -411,7 +414,10 @@ mod tests {
         assert_eq!((counts.faults[0], counts.bytes_lost), (20, 2000));
 
         let (_, got, counts, log) = only(Fault::Corrupt);
-        let changed = got.iter().enumerate().filter(|(i, b)| (i / 100) as u8 != **b);
+        let changed = got
+            .iter()
+            .enumerate()
+            .filter(|(i, b)| (i / 100) as u8 != **b);
         // A byte may have been changed back.
         assert!((1..=counts.bytes_changed).contains(&(changed.count() as u64)));
         assert_eq!((got.len(), log.len(), log[3].at), (2000, 20, 300));

@@ -71,7 +71,10 @@ pub fn pair(room: usize) -> (LoopbackLink, LoopbackLink) {
         lent: Vec::new(),
         patience: PATIENCE,
     };
-    (end("near end", &there, &back), end("far end", &back, &there))
+    (
+        end("near end", &there, &back),
+        end("far end", &back, &there),
+    )
 }
 
 impl LoopbackLink {
@@ -331,12 +334,7 @@ pub struct PeripheralControl {
 }
 
 impl PeripheralControl {
-    fn request(
-        &self,
-        request: Request,
-        data: &[u8],
-        length: usize,
-    ) -> Result<Vec<u8>, LinkError> {
+    fn request(&self, request: Request, data: &[u8], length: usize) -> Result<Vec<u8>, LinkError> {
         match self
             .attachment
             .ask(|device| device.control(request, data, length))?

@@ -119,13 +119,21 @@ fn a_device_without_a_bus_answers_streams_and_goes() {
         (Bulk::Stall, vec![]),
     ]);
     let mut control = attachment.control();
-    assert_eq!((control.release(), control.serial()), (0x1234, Some("S1".to_owned())));
+    assert_eq!(
+        (control.release(), control.serial()),
+        (0x1234, Some("S1".to_owned()))
+    );
     let mut answer = [0; 8];
     let request = Request::vendor_in(1, 0x0201, 0);
     assert_eq!(control.control_in(request, &mut answer).unwrap(), 2);
     assert_eq!(answer[..2], [1, 2]);
     let refused = control.control_out(Request::vendor_out(9, 0, 0), &[]);
-    assert!(refused.unwrap_err().to_string().contains("request 0x09: the device refuses it"));
+    assert!(
+        refused
+            .unwrap_err()
+            .to_string()
+            .contains("request 0x09: the device refuses it")
+    );
 
     let mut link = attachment.stream(&TRANSFERS);
     link.send(&[1]).unwrap();
@@ -140,7 +148,14 @@ fn a_device_without_a_bus_answers_streams_and_goes() {
     };
     assert_eq!(
         told,
-        ["[1, 2]", "[3]", "Overflow Some(65)", "Stalled None", "[4]", "Stalled None"]
+        [
+            "[1, 2]",
+            "[3]",
+            "Overflow Some(65)",
+            "Stalled None",
+            "[4]",
+            "Stalled None"
+        ]
     );
     assert!(matches!(error, LinkError::Stalled { endpoint: 0x81, .. }));
     assert_eq!(link.receive(Duration::ZERO).unwrap(), Received::Nothing);

@@ -71,7 +71,11 @@ fn a_file_says_what_was_written_and_is_sought_by_its_index() {
     for from in [0, 15, 210, 211, 390, 1000] {
         let time = Duration::from_millis(from);
         reader.seek(time).unwrap();
-        let expected: Vec<_> = records.iter().filter(|one| one.0 >= time).cloned().collect();
+        let expected: Vec<_> = records
+            .iter()
+            .filter(|one| one.0 >= time)
+            .cloned()
+            .collect();
         assert_eq!(read(&mut reader), expected, "{from} ms");
         assert_eq!(reader.cut(), None);
     }
@@ -85,7 +89,12 @@ fn a_file_says_what_was_written_and_is_sought_by_its_index() {
 
 #[test]
 fn other_files_and_later_versions_are_refused_in_one_line() {
-    let told = |bytes: &[u8]| RawReader::new(Cursor::new(bytes)).err().unwrap().to_string();
+    let told = |bytes: &[u8]| {
+        RawReader::new(Cursor::new(bytes))
+            .err()
+            .unwrap()
+            .to_string()
+    };
     assert!(told(b"").starts_with("byte 0: is no stream file"));
     assert!(told(b"% evt 3.0\n0123456789012345").starts_with("byte 0: is no stream file"));
     let file = write(&[]);

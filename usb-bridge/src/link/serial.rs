@@ -50,8 +50,9 @@ fn opening(path: &str, error: &serialport::Error) -> LinkError {
     match error.kind {
         ErrorKind::Io(io::ErrorKind::PermissionDenied) => LinkError::Permission {
             link,
-            remedy: "join the group of serial ports, `sudo usermod -aG dialout $USER`, and log in anew"
-                .to_owned(),
+            remedy:
+                "join the group of serial ports, `sudo usermod -aG dialout $USER`, and log in anew"
+                    .to_owned(),
         },
         // The library's word for a port that another program has locked, too.
         ErrorKind::NoDevice if error.description.contains("busy") => LinkError::Busy { link },
@@ -165,7 +166,10 @@ mod tests {
     fn a_port_that_is_not_there_is_told_in_one_line() {
         let error = SerialLink::open("/dev/no_such_port", BAUD).err().unwrap();
         let told = error.to_string();
-        assert!(told.starts_with("/dev/no_such_port: cannot be reached: "), "{told}");
+        assert!(
+            told.starts_with("/dev/no_such_port: cannot be reached: "),
+            "{told}"
+        );
         let busy = serialport::Error::new(ErrorKind::NoDevice, "Device or resource busy");
         assert!(matches!(opening("p", &busy), LinkError::Busy { .. }));
         let denied = ErrorKind::Io(io::ErrorKind::PermissionDenied);

@@ -146,9 +146,18 @@ mod tests {
 
     #[test]
     fn an_address_without_anybody_is_told_in_one_line() {
-        let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-        let told = TcpLink::connect(&free.to_string()).err().unwrap().to_string();
-        assert!(told.starts_with(&format!("tcp://{free}: cannot be reached: ")), "{told}");
+        let free = TcpListener::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap();
+        let told = TcpLink::connect(&free.to_string())
+            .err()
+            .unwrap()
+            .to_string();
+        assert!(
+            told.starts_with(&format!("tcp://{free}: cannot be reached: ")),
+            "{told}"
+        );
         let told = TcpLink::connect("no port here").err().unwrap().to_string();
         assert!(told.contains("cannot be reached"), "{told}");
         assert!(!told.contains('\n'));

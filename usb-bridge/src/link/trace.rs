@@ -183,10 +183,10 @@ impl Shared {
             return;
         }
         let (started, unix) = self.started;
-        let time = packet
-            .at
-            .checked_duration_since(started)
-            .map_or_else(|| unix - (started - packet.at).min(unix), |since| unix + since);
+        let time = packet.at.checked_duration_since(started).map_or_else(
+            || unix - (started - packet.at).min(unix),
+            |since| unix + since,
+        );
         let data = packet.data.unwrap_or_default();
         let mut bytes = Vec::with_capacity(HEADER + data.len());
         bytes.extend(packet.id.to_ne_bytes());

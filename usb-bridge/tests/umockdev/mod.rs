@@ -135,6 +135,18 @@ impl Mocked {
         self.command(&format!("remove /sys{SYSPATH}\n"));
     }
 
+    /// Nobody but root may open the device; the rest can be seen by everybody.
+    pub fn forbid(&self) {
+        use std::os::unix::fs::PermissionsExt;
+        let set = |path: &str, mode| {
+            let path = Path::new(&self.root).join(path);
+            std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).unwrap();
+        };
+        // The preloaded library makes its sockets there.
+        set("", 0o777);
+        set(&NODE[1..], 0o600);
+    }
+
     /// The kernel's side of the device.
     pub fn with_usbfs<T>(&self, use_it: impl FnOnce(&mut Usbfs) -> T) -> T {
         use_it(&mut self.usbfs.lock().unwrap_or_else(PoisonError::into_inner))
@@ -242,9 +254,8 @@ fn serve(mut connection: UnixStream, usbfs: &Mutex<Usbfs>) {
     let mut question = [0; 8];
     let mut bytes = Vec::new();
     while connection.read_exact(&mut question).is_ok() {
-        let [what, length] = [0, 4].map(|at| {
-            u32::from_ne_bytes(question[at..at + 4].try_into().unwrap())
-        });
+        let [what, length] =
+            [0, 4].map(|at| u32::from_ne_bytes(question[at..at + 4].try_into().unwrap()));
         bytes.resize(length as usize, 0);
         if connection.read_exact(&mut bytes).is_err() {
             return;

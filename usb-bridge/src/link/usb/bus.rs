@@ -109,7 +109,7 @@ impl Bus {
             link: "usb".to_owned(),
             cause: format!("the devices cannot be listed: {error}"),
         })?;
-        let mut all: Vec<_> = list.iter().filter_map(|device| Attached::of(device)).collect();
+        let mut all: Vec<_> = list.iter().filter_map(Attached::of).collect();
         all.sort_by(|a, b| (a.bus, &a.ports).cmp(&(b.bus, &b.ports)));
         Ok(all)
     }

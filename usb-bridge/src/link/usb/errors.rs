@@ -76,10 +76,7 @@ mod tests {
         assert_eq!(told(Error::NoDevice), gone);
         assert_eq!(told(Error::Io), gone);
         assert!(told(Error::Busy).contains("in use by another program"));
-        assert_eq!(
-            told(Error::Timeout),
-            "usb 1-4: open: operation timed out"
-        );
+        assert_eq!(told(Error::Timeout), "usb 1-4: open: operation timed out");
         for error in [Error::NoMem, Error::Pipe, Error::Other, Error::NotSupported] {
             let told = told(error);
             assert!(told.starts_with("usb 1-4: open: "), "{told}");

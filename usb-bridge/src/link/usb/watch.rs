@@ -208,7 +208,9 @@ pub fn wait_for(
             continue;
         };
         let attached = devices.swap_remove(index);
-        let interface = attached.model.map_or(0, |model| model.transfers().interface);
+        let interface = attached
+            .model
+            .map_or(0, |model| model.transfers().interface);
         match attached.open(interface).map(drop) {
             Ok(()) => return Ok(Some(attached)),
             Err(error @ LinkError::Permission { .. }) => {
