@@ -144,6 +144,7 @@ impl Mocked {
         };
         // The preloaded library makes its sockets there.
         set("", 0o777);
+        set(&format!("ioctl{NODE}"), 0o777);
         set(&NODE[1..], 0o600);
     }
 
@@ -162,9 +163,16 @@ impl Mocked {
     }
 
     /// Runs the same test again in a process that sees this USB; there `under_umockdev` is true.
+    /// `EECVS_TEST_RUNNER` may name a program that runs it: `valgrind --error-exitcode=9 -q`.
     pub fn run_test(&self, name: &str) {
-        let output = self
-            .command_for(std::env::current_exe().unwrap())
+        let program = std::env::current_exe().unwrap();
+        let runner = std::env::var("EECVS_TEST_RUNNER").unwrap_or_default();
+        let mut words = runner.split_whitespace();
+        let mut command = self.command_for(words.next().map_or(program.as_os_str(), AsRef::as_ref));
+        if !runner.is_empty() {
+            command.args(words).arg(&program);
+        }
+        let output = command
             .args([name, "--exact", "--nocapture", "--test-threads=1"])
             .env(UNDER, "1")
             .output()
