@@ -15,12 +15,14 @@ struct EecvsUsb {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    List(cmd::list::List),
     Simulate(cmd::simulate::Simulate),
 }
 
 fn main() -> ExitCode {
     // Bad usage ends here, with exit status 2.
     let result = match EecvsUsb::parse().command {
+        Command::List(command) => command.run(),
         Command::Simulate(command) => command.run(),
     };
     match result {
