@@ -40,13 +40,14 @@ impl Clean {
         }
     }
 
-    /// The host's idea of the device's time before transfer `next`: off by up to 4 ms, where no wrap
-    /// stands between it and the next event.
+    /// The host's idea of the device's time before transfer `next`: off by up to 0.9 ms, where no
+    /// wrap stands between it and the next word of time.
     fn host_time(&self, next: usize, period_us: u64, numbers: &mut Numbers) -> u64 {
         let now = self.times[next - 1];
-        match self.events[next].first() {
+        let later = |event: &&Event| period_us < 1000 << 20 && event.t_us > now;
+        match self.events[next].iter().find(later) {
             Some(event) if event.t_us / period_us == now / period_us => {
-                (event.t_us + numbers.below(4000)).saturating_sub(numbers.below(4000))
+                (event.t_us + numbers.below(900)).saturating_sub(numbers.below(900))
             }
             _ => now,
         }

@@ -139,7 +139,7 @@ fn inverted_logic_exchanges_rows_and_columns() {
     };
     let mut read = Vec::new();
     let mut parser = DavisParser::begin(sensor(240, 180), true);
-    parser.parse(&write("davis240", wire, &events), &mut read);
+    parser.parse(&write("davis346", wire, &events), &mut read);
     assert_eq!(read, exchanged(events.clone()));
     read.clear();
     let mut parser = DvxplorerParser::begin(sensor(240, 180), true);

@@ -19,8 +19,8 @@
 //! by whole periods; a reset that was forged shifts it by less than one; where a device was quiet for
 //! longer than a period, a lost wrap leaves no trace in what follows. The next loss that comes with
 //! the host's time ([`Clock::lose`]) ends the first two: the phase from before a reset is kept until
-//! then, and taken again where it fits better than the one after it. A reset that was lost itself
-//! leaves times up to half a period off. A host's time is good enough if it is off by less than half a
+//! then, and taken again where it fits better than the one after it, or where it fits and the counter
+//! did not look as if it began anew. A reset that was lost itself leaves times up to half a period off. A host's time is good enough if it is off by less than half a
 //! period.
 
 /// Largest base: leaves room for every sum below.
@@ -41,14 +41,24 @@ pub struct Clock {
     seen: bool,
     /// Time of the host at a loss.
     anchor: Option<u64>,
-    /// Base before the first reset since the host's time was last compared.
-    before_reset: Option<u64>,
+    /// What was before the first reset since the host's time was last compared.
+    before_reset: Option<BeforeReset>,
+}
+
+/// The counter before a reset, should that have been none.
+#[derive(Debug, Clone, Copy)]
+struct BeforeReset {
+    base: u64,
+    /// Its low part at the reset, until the next one is compared with it.
+    low: Option<u64>,
+    /// The counter seems to have run on: resets came in a row, or the low part did not begin anew.
+    ran_on: bool,
 }
 
 /// What became of a low part that [`Clock::take`] had a question about.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Settled {
-    /// The first time after a start or a loss.
+    /// The first time after a start, a loss or a reset.
     Found,
     /// It fell by more than half a period: a wrap belongs between.
     Wrapped,
@@ -89,6 +99,12 @@ impl Clock {
         self.floor != u64::MAX
     }
 
+    /// Whether a low part that [`Clock::take`] does not take runs back.
+    #[must_use]
+    pub const fn runs_back(&self, low: u64) -> bool {
+        self.is_known() && self.base + low < self.now
+    }
+
     /// Takes the next low part; `false` where [`Clock::settle`] has to.
     #[inline(always)]
     pub fn take(&mut self, low: u64) -> bool {
@@ -104,7 +120,10 @@ impl Clock {
     /// Takes a low part that [`Clock::take`] did not.
     #[cold]
     pub fn settle(&mut self, low: u64) -> Settled {
-        let settled = if self.is_known() {
+        let settled = if self.is_known() && !self.runs_back(low) {
+            self.compare_reset(low);
+            Settled::Found
+        } else if self.is_known() {
             if self.now - (self.base + low) > self.period / 2 {
                 self.base += self.period;
                 Settled::Wrapped
@@ -112,7 +131,7 @@ impl Clock {
                 Settled::Back
             }
         } else {
-            self.find(low);
+            self.find(low, false);
             Settled::Found
         };
         self.know(self.base + low);
@@ -130,7 +149,7 @@ impl Clock {
             // one is in (anchor, anchor + period], or as many periods later as it counts more.
             let ticks = (count * self.period).saturating_sub(self.period / 2 - 1);
             self.anchor = Some((anchor + ticks).min(BASE_MAX));
-            self.find(0);
+            self.find(0, true);
             self.now = self.base;
         } else {
             self.base = (self.base + count * self.period).min(BASE_MAX);
@@ -141,14 +160,22 @@ impl Clock {
     /// The counter begins at 0 now.
     #[cold]
     pub fn reset(&mut self) {
+        if let Some(before) = &mut self.before_reset {
+            before.ran_on = true;
+        } else if self.seen {
+            self.before_reset = Some(BeforeReset {
+                base: self.base,
+                low: self.is_known().then(|| self.now - self.base),
+                ran_on: false,
+            });
+        }
         if let Some(anchor) = self.anchor.take() {
             self.now = anchor;
         }
-        if self.seen {
-            self.before_reset.get_or_insert(self.base);
-        }
         self.base = self.now.min(BASE_MAX);
         self.know(self.base);
+        // The next low part is looked at: `settle` has to take it.
+        self.floor = u64::MAX - 1;
     }
 
     /// Time is not known until the next low part; `host` is what the host's clock says it is.
@@ -166,8 +193,19 @@ impl Clock {
         self.seen = true;
     }
 
-    /// Sets the base by the next low part after a loss.
-    fn find(&mut self, low: u64) {
+    /// Compares the first low part after a reset with the last one before it: a counter that began
+    /// anew is nearer to 0, one that ran on nearer to where it was.
+    fn compare_reset(&mut self, low: u64) {
+        let period = self.period;
+        if let Some(before) = &mut self.before_reset
+            && let Some(last) = before.low.take()
+        {
+            before.ran_on |= low.wrapping_sub(last) % period < low;
+        }
+    }
+
+    /// Sets the base by the next low part after a loss, or by that of a wrap.
+    fn find(&mut self, low: u64, is_wrap: bool) {
         let Some(anchor) = self.anchor.take() else {
             let time = self.base + low;
             let missing = self.now.saturating_sub(time).div_ceil(self.period);
@@ -175,14 +213,16 @@ impl Clock {
             return;
         };
         let mut time = self.nearest(self.base.wrapping_add(low), anchor);
-        if let Some(base) = self.before_reset.take() {
-            let other = self.nearest(base.wrapping_add(low), anchor);
-            if other.abs_diff(anchor) < time.abs_diff(anchor) {
+        if let Some(before) = self.before_reset.take() {
+            let other = self.nearest(before.base.wrapping_add(low), anchor);
+            let off = other.abs_diff(anchor);
+            let may_be = before.ran_on && (is_wrap || off <= self.period / 4);
+            if may_be || off < time.abs_diff(anchor) {
                 time = other;
             }
         }
         // Before the counter's own 0 there was no time.
-        while time < low {
+        if time < low {
             time += self.period;
         }
         self.base = time - low;
@@ -291,6 +331,21 @@ mod tests {
         low(&mut clock, 5);
         clock.lose(Some(20_020 + 9));
         assert_eq!(low(&mut clock, 8), 20_020 + 8);
+    }
+
+    #[test]
+    fn a_counter_that_ran_on_is_known_by_its_low_part() {
+        // The host's time is nearer to what the forged resets make of it.
+        for (resets, next) in [(1, 1_100), (3, 2)] {
+            let mut clock = Clock::new(15);
+            low(&mut clock, 1_000);
+            for _ in 0..resets {
+                clock.reset();
+            }
+            low(&mut clock, next);
+            clock.lose(Some(2_200));
+            assert_eq!(low(&mut clock, 1_200), 1_200);
+        }
     }
 
     #[test]

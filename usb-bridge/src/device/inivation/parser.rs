@@ -62,7 +62,7 @@ impl State {
     /// Takes a low part of time that the clock had a question about.
     #[cold]
     pub fn settle(&mut self, low: u64) {
-        if self.clock.is_known() {
+        if self.clock.runs_back(low) {
             self.strike();
         }
         match self.clock.settle(low) {
