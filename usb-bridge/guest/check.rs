@@ -3,26 +3,23 @@
 //! `guest-check serve SOCKET` has the devices, one after the other, on the host;
 //! `guest-check run` is the guest's side, which asks for the next one when it is done with one;
 //! `guest-check usbip` has both in the guest, with the kernel's vhci-hcd between them;
-//! `guest-check all` is both, in the guest.
+//! `guest-check all` is both, in the guest;
+//! `guest-check scenes FOLDER` writes a recording for every model and says what is in it;
+//! `guest-check capture MODEL EVENTS DIGEST ...` captures them in the guest.
 
-#![expect(
-    unsafe_code,
-    reason = "transfers in flight are libusb's own C interface"
-)]
-
-mod queue;
+mod camera;
 mod vhci;
 
 use std::os::unix::net::UnixListener;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::mpsc::{self, Sender};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use queue::Queue;
-use rusb::{Context, DeviceHandle, UsbContext as _};
-use usb_bridge::link::{Link, LinkError, Loss, Received};
+use usb_bridge::device::Transfers;
+use usb_bridge::link::control::{Control, Request};
+use usb_bridge::link::usb::{Bus, Device, UsbLink};
+use usb_bridge::link::{Link as _, LinkError, Loss, Received};
 use usb_bridge::peripheral::Speed;
 use usb_bridge::peripheral::sequence::{self, Check, SequenceDevice};
 use usb_bridge::peripheral::socket::{self, Change};
@@ -30,29 +27,34 @@ use usb_bridge::peripheral::usbredir::UsbRedir;
 
 /// Bytes of a stream that a case reads.
 const BYTES: u64 = 4 << 20;
-/// Transfers in flight, and their bytes.
-const TRANSFERS: (usize, usize) = (8, 64 << 10);
+/// How the stream is read. The device ends a transfer itself when it pauses: none is taken back.
+const TRANSFERS: Transfers = Transfers {
+    endpoint: sequence::STREAM,
+    interface: 0,
+    count: 8,
+    bytes: 64 << 10,
+    timeout: Duration::ZERO,
+};
 /// A device shows within this time, in an emulated machine.
 const APPEARS: Duration = Duration::from_secs(30);
-const CONTROL_TIME: Duration = Duration::from_secs(5);
 
 /// A device and what the guest does with it.
 struct Case {
     name: &'static str,
     device: fn() -> SequenceDevice,
-    run: fn(&Arc<DeviceHandle<Context>>) -> Result<()>,
+    run: fn(&Device) -> Result<()>,
 }
 
 const CASES: &[Case] = &[
     Case {
         name: "high speed",
         device: || SequenceDevice::new(Speed::High),
-        run: |handle| stream(handle, BYTES, 0, Duration::ZERO),
+        run: |device| stream(device, BYTES, 0, Duration::ZERO),
     },
     Case {
         name: "super speed",
         device: || SequenceDevice::new(Speed::Super),
-        run: |handle| stream(handle, BYTES, 0, Duration::ZERO),
+        run: |device| stream(device, BYTES, 0, Duration::ZERO),
     },
     Case {
         name: "commands",
@@ -62,17 +64,17 @@ const CASES: &[Case] = &[
     Case {
         name: "data that is late",
         device: || SequenceDevice::new(Speed::High).pause(3),
-        run: |handle| stream(handle, BYTES / 8, 0, Duration::ZERO),
+        run: |device| stream(device, BYTES / 8, 0, Duration::ZERO),
     },
     Case {
         name: "slow host",
         device: || SequenceDevice::new(Speed::Super),
-        run: |handle| stream(handle, BYTES / 2, 0, Duration::from_millis(20)),
+        run: |device| stream(device, BYTES / 2, 0, Duration::from_millis(20)),
     },
     Case {
         name: "stall",
         device: || SequenceDevice::new(Speed::Super).stall_at(1_000_012),
-        run: |handle| stream(handle, BYTES / 2, 1, Duration::ZERO),
+        run: |device| stream(device, BYTES / 2, 1, Duration::ZERO),
     },
     Case {
         name: "unplugged",
@@ -88,9 +90,12 @@ fn main() -> ExitCode {
         ["serve", path] => serve(path),
         ["run"] => run(),
         ["usbip"] => vhci::run(),
+        ["scenes", folder] => camera::scenes(folder),
+        ["capture", ref wanted @ ..] => camera::capture(wanted),
         ["all"] => run().and_then(|()| vhci::run()),
         _ => Err(anyhow::anyhow!(
-            "usage: guest-check serve SOCKET | run | usbip | all"
+            "usage: guest-check serve SOCKET | run | usbip | all | scenes FOLDER | \
+             capture MODEL EVENTS DIGEST ..."
         )),
     };
     match result {
@@ -140,9 +145,9 @@ fn plug(number: usize, changes: &Sender<Change>) -> Change {
 fn run() -> Result<()> {
     for case in CASES {
         let started = Instant::now();
-        let handle = open(case.name).context(case.name)?;
+        let device = open(case.name).context(case.name)?;
         let found = started.elapsed();
-        (case.run)(&Arc::new(handle)).context(case.name)?;
+        (case.run)(&device).context(case.name)?;
         println!(
             "ok: {} (found after {} ms, took {} ms)",
             case.name,
@@ -154,67 +159,46 @@ fn run() -> Result<()> {
 }
 
 /// Opens the device with this product's name, when it has appeared.
-fn open(name: &str) -> Result<DeviceHandle<Context>> {
+fn open(name: &str) -> Result<Device> {
     let until = Instant::now() + APPEARS;
     while Instant::now() < until {
-        // A new one each time: libusb's udev backend sees what appears later only where udevd runs.
-        for device in Context::new()?.devices()?.iter() {
-            let descriptor = device.device_descriptor()?;
-            let ids = (descriptor.vendor_id(), descriptor.product_id());
-            if ids != (sequence::VENDOR, sequence::PRODUCT) {
-                continue;
-            }
-            // The one before may still be leaving.
-            let Ok(handle) = device.open() else { continue };
-            let Ok(product) = handle.read_product_string_ascii(&descriptor) else {
-                continue;
-            };
-            if product == name {
-                let expected = if descriptor.usb_version().major() == 3 {
-                    rusb::Speed::Super
-                } else {
-                    rusb::Speed::High
-                };
-                ensure!(device.speed() == expected, "speed {:?}", device.speed());
-                handle.claim_interface(0)?;
-                return Ok(handle);
-            }
+        let found = Bus::new()?
+            .all()?
+            .into_iter()
+            .find(|one| one.product_name.as_deref() == Some(name));
+        // The kernel may not have made its file yet.
+        if let Some(device) = found.and_then(|one| one.open(0).ok()) {
+            return Ok(device);
         }
         std::thread::sleep(Duration::from_millis(100));
     }
     bail!("does not appear")
 }
 
-fn vendor_out(handle: &DeviceHandle<Context>, request: u8, data: &[u8]) -> Result<()> {
-    let sent = handle.write_control(0x40, request, 0, 0, data, CONTROL_TIME)?;
-    ensure!(sent == data.len(), "{sent} bytes of a request were sent");
-    Ok(())
+fn vendor_out(device: &Device, request: u8, data: &[u8]) -> Result<(), LinkError> {
+    let request = Request::vendor_out(request, 0, 0);
+    device.control().control_out(request, data)
 }
 
 /// Asks the host for the next device, which unplugs this one.
-fn next(handle: &DeviceHandle<Context>) {
+fn next(device: &Device) {
     // The device may be gone before the request has its status.
-    let _ = vendor_out(handle, sequence::NOTE, b"next");
+    let _ = vendor_out(device, sequence::NOTE, b"next");
 }
 
 /// Reads a stream until `bytes` have come, with `stalls` on the way.
-fn stream(
-    handle: &Arc<DeviceHandle<Context>>,
-    bytes: u64,
-    stalls: u32,
-    pause: Duration,
-) -> Result<()> {
-    let mut queue = Queue::new(handle.clone(), sequence::STREAM, TRANSFERS.0, TRANSFERS.1)?;
+fn stream(device: &Device, bytes: u64, stalls: u32, pause: Duration) -> Result<()> {
+    let mut link: UsbLink = device.stream(&TRANSFERS)?;
     // Nothing comes before the start.
     ensure!(matches!(
-        queue.receive(Duration::from_millis(50))?,
+        link.receive(Duration::from_millis(50))?,
         Received::Nothing
     ));
-    vendor_out(handle, sequence::START, &[])?;
+    vendor_out(device, sequence::START, &[])?;
     let mut check = Check::default();
     let mut stalls_found = 0;
     while check.bytes() < bytes {
-        match queue.receive(Duration::from_secs(10))? {
+        match link.receive(Duration::from_secs(10))? {
             Received::Bytes { bytes, .. } => check.take(bytes),
             Received::Lost {
                 cause: Loss::Stalled,
@@ -226,8 +210,8 @@ fn stream(
     }
     ensure!(stalls_found == stalls, "{stalls_found} stalls");
     // What flows when the stream is held still comes, to the last byte.
-    vendor_out(handle, sequence::STOP, &[])?;
-    while let Received::Bytes { bytes, .. } = queue.receive(Duration::from_millis(200))? {
+    vendor_out(device, sequence::STOP, &[])?;
+    while let Received::Bytes { bytes, .. } = link.receive(Duration::from_millis(200))? {
         check.take(bytes);
     }
     ensure!(
@@ -237,69 +221,70 @@ fn stream(
         check.bytes()
     );
     let mut sent = [0; 8];
-    handle.read_control(0xC0, sequence::SENT, 0, 0, &mut sent, CONTROL_TIME)?;
+    let asked = Request::vendor_in(sequence::SENT, 0, 0);
+    device.control().control_in(asked, &mut sent)?;
     let sent = u64::from_le_bytes(sent);
     ensure!(
         sent == check.bytes(),
         "{} of {sent} bytes came",
         check.bytes()
     );
-    drop(queue);
-    next(handle);
+    drop(link);
+    next(device);
     Ok(())
 }
 
 /// Requests and bulk endpoints that carry commands.
-fn commands(handle: &Arc<DeviceHandle<Context>>) -> Result<()> {
+fn commands(device: &Device) -> Result<()> {
+    let mut control = device.control();
     let note: Vec<u8> = (0..64).collect();
-    vendor_out(handle, sequence::NOTE, &note)?;
+    vendor_out(device, sequence::NOTE, &note)?;
     let mut back = [0; 100];
-    let length = handle.read_control(0xC0, sequence::NOTE, 0, 0, &mut back, CONTROL_TIME)?;
+    let length = control.control_in(Request::vendor_in(sequence::NOTE, 0, 0), &mut back)?;
     ensure!(back[..length] == note[..], "the note came back otherwise");
-    let refused = handle.write_control(0x40, 0x01, 0, 0, &[], CONTROL_TIME);
-    ensure!(refused == Err(rusb::Error::Pipe), "refused: {refused:?}");
+    ensure!(
+        vendor_out(device, 0x01, &[]).is_err(),
+        "nothing was refused"
+    );
+    let mut echo = |control: &mut dyn Control, bytes: &[u8]| -> Result<()> {
+        control.bulk_out(sequence::COMMANDS, bytes)?;
+        let come = control.bulk_in(sequence::ANSWERS, &mut back)?;
+        ensure!(back[..come] == *bytes, "an answer differs");
+        Ok(())
+    };
     for length in [1, 63, 64] {
-        let sent = handle.write_bulk(sequence::COMMANDS, &note[..length], CONTROL_TIME)?;
-        let come = handle.read_bulk(sequence::ANSWERS, &mut back, CONTROL_TIME)?;
-        ensure!(
-            sent == length && back[..come] == note[..length],
-            "an answer differs"
-        );
+        echo(&mut control, &note[..length])?;
     }
     // Longer than the device takes: its endpoint halts until that is ended.
-    let long = handle.write_bulk(sequence::COMMANDS, &[0; 65], CONTROL_TIME);
-    ensure!(long == Err(rusb::Error::Pipe), "{long:?}");
-    let halted = handle.write_bulk(sequence::COMMANDS, &[1], CONTROL_TIME);
-    ensure!(halted == Err(rusb::Error::Pipe), "{halted:?}");
-    handle.clear_halt(sequence::COMMANDS)?;
-    handle.write_bulk(sequence::COMMANDS, &[1], CONTROL_TIME)?;
-    let come = handle.read_bulk(sequence::ANSWERS, &mut back, CONTROL_TIME)?;
-    ensure!(back[..come] == [1], "an answer differs");
+    let long = control.bulk_out(sequence::COMMANDS, &[0; 65]);
+    ensure!(long.is_err(), "{long:?}");
+    let halted = control.bulk_out(sequence::COMMANDS, &[1]);
+    ensure!(halted.is_err(), "{halted:?}");
+    control.clear_halt(sequence::COMMANDS)?;
+    echo(&mut control, &[1])?;
     // Taken back while it waits, and asked for again.
-    let late = handle.read_bulk(sequence::ANSWERS, &mut back, Duration::from_millis(50));
-    ensure!(late == Err(rusb::Error::Timeout), "{late:?}");
-    handle.write_bulk(sequence::COMMANDS, &[2], CONTROL_TIME)?;
-    let come = handle.read_bulk(sequence::ANSWERS, &mut back, CONTROL_TIME)?;
-    ensure!(back[..come] == [2], "an answer differs");
-    next(handle);
+    let late = control.bulk_in(sequence::ANSWERS, &mut [0; 64]);
+    ensure!(late.is_err(), "{late:?}");
+    echo(&mut control, &[2])?;
+    next(device);
     Ok(())
 }
 
 /// The device leaves in the middle of its stream.
-fn unplugged(handle: &Arc<DeviceHandle<Context>>) -> Result<()> {
-    let mut queue = Queue::new(handle.clone(), sequence::STREAM, TRANSFERS.0, TRANSFERS.1)?;
-    vendor_out(handle, sequence::START, &[])?;
+fn unplugged(device: &Device) -> Result<()> {
+    let mut link: UsbLink = device.stream(&TRANSFERS)?;
+    vendor_out(device, sequence::START, &[])?;
     let mut check = Check::default();
     let mut is_asked = false;
     loop {
-        match queue.receive(Duration::from_secs(10)) {
+        match link.receive(Duration::from_secs(10)) {
             Ok(Received::Bytes { bytes, .. }) => check.take(bytes),
             Err(LinkError::Unplugged { .. }) => break,
             other => bail!("{other:?} after {} bytes", check.bytes()),
         }
         if check.bytes() > BYTES / 4 && !is_asked {
             is_asked = true;
-            next(handle);
+            next(device);
         }
     }
     ensure!(

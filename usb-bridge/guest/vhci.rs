@@ -46,8 +46,8 @@ pub fn run() -> Result<()> {
             let mut session = UsbIp::new(Box::new(device));
             socket::serve(&mut server, &mut session, &mut || cable.try_recv().ok())
         });
-        let handle = open(case.name).context(case.name)?;
-        (case.run)(&std::sync::Arc::new(handle)).context(case.name)?;
+        let device = open(case.name).context(case.name)?;
+        (case.run)(&device).context(case.name)?;
         let report = served.join().expect("the server's thread")?;
         ensure!(report.packets_odd == 0, "{report:?}");
         println!("ok: USB/IP: {}", case.name);

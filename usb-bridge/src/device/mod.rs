@@ -4,6 +4,12 @@
 //! stopped; `parse.rs` turns its stream into events; `write.rs` turns events into its stream;
 //! `camera.rs` is the [`Peripheral`] that answers a host as the device would.
 
+pub mod davis;
+pub mod dvs128;
+pub mod dvxplorer;
+pub mod dvxplorer_mipi;
+pub mod inivation;
+
 use std::time::Duration;
 
 use anyhow::Result;
@@ -14,7 +20,13 @@ use crate::link::control::Control;
 use crate::peripheral::Peripheral;
 
 /// Every model that is known; [`find`] looks here.
-pub static MODELS: &[&dyn Model] = &[];
+pub static MODELS: &[&dyn Model] = &[
+    &dvs128::Dvs128,
+    &davis::DAVIS240,
+    &davis::DAVIS346,
+    &dvxplorer::Dvxplorer,
+    &dvxplorer_mipi::DvxplorerMipi,
+];
 
 /// A USB vendor and product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
