@@ -12,6 +12,7 @@
 //! bytes: over libusb, a serial port, TCP, or inside the process, with faults and traces around any
 //! of them. [`peripheral`] is the other end of a USB cable, for devices that are only simulated.
 
+pub mod cmd;
 pub mod device;
 pub mod link;
 pub mod peripheral;

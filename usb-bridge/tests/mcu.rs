@@ -39,7 +39,7 @@ fn scene(count: u64, start_us: u64) -> Vec<Event> {
         t_us: start_us + at * 97 + u64::from(random.next_u32() % 97),
         x: ((at / 7 + u64::from(random.next_u32() % 9)) % 320) as u16,
         y: (random.next_u32() % 240) as u16,
-        polarity: Polarity::from_bool(random.next_u32() % 2 == 0),
+        polarity: Polarity::from_bool(random.next_u32().is_multiple_of(2)),
     };
     (0..count).map(event).collect()
 }
@@ -125,7 +125,7 @@ fn packets_of_status_are_no_damage() {
     let mut stream = status.clone();
     for (at, frame) in frames(bytes).into_iter().enumerate() {
         stream.extend(frame);
-        if at % 3 == 0 {
+        if at.is_multiple_of(3) {
             stream.extend(&status);
         }
     }

@@ -463,7 +463,7 @@ fn scene(random: &mut Xoshiro256PlusPlus, count: usize) -> Vec<Event> {
             (random.next_u32() % 1200) as u16,
             (random.next_u32() % 720) as u16,
         );
-        let on = random.next_u32() % 2 == 0;
+        let on = random.next_u32().is_multiple_of(2);
         for column in 0..(random.next_u32() % 9) as u16 {
             events.push(Event {
                 t_us,

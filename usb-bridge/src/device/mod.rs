@@ -4,6 +4,11 @@
 //! stopped; `parse.rs` turns its stream into events; `write.rs` turns events into its stream;
 //! `camera.rs` is the [`Peripheral`] that answers a host as the device would.
 
+pub mod davis;
+pub mod dvs128;
+pub mod dvxplorer;
+pub mod dvxplorer_mipi;
+pub mod inivation;
 pub mod mcu;
 pub mod prophesee;
 
@@ -18,6 +23,11 @@ use crate::peripheral::Peripheral;
 
 /// Every model that is known; [`find`] looks here.
 pub static MODELS: &[&dyn Model] = &[
+    &dvs128::Dvs128,
+    &davis::DAVIS240,
+    &davis::DAVIS346,
+    &dvxplorer::Dvxplorer,
+    &dvxplorer_mipi::DvxplorerMipi,
     &prophesee::EVK,
     &prophesee::EVK4_EVT21,
     &prophesee::EVK3_HD,

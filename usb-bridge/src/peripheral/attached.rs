@@ -223,7 +223,9 @@ impl Attached {
 
     /// How a transfer of `room` bytes ends now; `None` where it waits.
     fn ask(&mut self, endpoint: u8, room: usize, data: &mut Vec<u8>) -> Option<Status> {
-        let bulk = if self.standard.is_halted(endpoint) {
+        // Another configuration or setting may have taken the endpoint away.
+        let is_there = self.standard.endpoint(endpoint).is_some();
+        let bulk = if !is_there || self.standard.is_halted(endpoint) {
             Bulk::Stall
         } else {
             self.peripheral.bulk_in(endpoint, room, data)

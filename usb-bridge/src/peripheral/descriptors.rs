@@ -6,12 +6,13 @@
 //! use usb_bridge::peripheral::Speed;
 //! use usb_bridge::peripheral::descriptors::{Device, Endpoint, Interface};
 //!
+//! let endpoints = [Endpoint::bulk(0x82)];
 //! let camera = Device {
 //!     speed: Speed::Super,
 //!     vendor: 0x152A,
 //!     product: 0x841A,
 //!     names: ["iniVation", "DAVIS346", "00000001"],
-//!     interfaces: &[Interface::vendor(0, &[Endpoint::bulk(0x82)])],
+//!     interfaces: &[Interface::vendor(0, &endpoints)],
 //!     ..Device::default()
 //! };
 //! assert_eq!(camera.describe().device.len(), 18);

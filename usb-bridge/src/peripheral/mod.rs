@@ -10,6 +10,7 @@
 //! usbredir     ... for QEMU's usb-redir device
 //! usbip        ... for Linux' vhci-hcd
 //! socket       one host at the other end of a socket
+//! server       hosts that come and go, over TCP; unix_server over a Unix socket
 //! stream       a recording as the bytes that a device sends, in its time
 //! sequence     a device with a known stream, for tests
 //! ```
@@ -17,7 +18,14 @@
 pub mod attached;
 pub mod descriptors;
 pub mod sequence;
+pub mod server;
+pub mod socket;
 pub mod standard;
+pub mod stream;
+#[cfg(unix)]
+pub mod unix_server;
+pub mod usbip;
+pub mod usbredir;
 
 use crate::link::control::Request;
 

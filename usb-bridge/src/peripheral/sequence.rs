@@ -88,6 +88,9 @@ impl Check {
     }
 }
 
+/// What a note causes.
+type OnNote = Box<dyn FnMut(&[u8]) + Send>;
+
 /// A device that sends the sequence.
 pub struct SequenceDevice {
     descriptors: Descriptors,
@@ -100,7 +103,7 @@ pub struct SequenceDevice {
     paused: u32,
     note: Vec<u8>,
     answers: VecDeque<Vec<u8>>,
-    on_note: Box<dyn FnMut(&[u8]) + Send>,
+    on_note: OnNote,
 }
 
 impl SequenceDevice {
@@ -133,6 +136,13 @@ impl SequenceDevice {
             answers: VecDeque::new(),
             on_note: Box::new(|_| {}),
         }
+    }
+
+    /// Its product is called `name`.
+    #[must_use]
+    pub fn named(mut self, name: &str) -> Self {
+        self.descriptors.strings[1] = name.to_owned();
+        self
     }
 
     /// The stream waits for ever after `bytes`.

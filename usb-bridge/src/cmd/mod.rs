@@ -1,0 +1,4 @@
+//! Subcommands of `eecvs-usb`, one file each, their flags beside them.
+
+pub mod list;
+pub mod simulate;
