@@ -1,7 +1,7 @@
 //! Events to the frames that an encoder sends: lossless, by the fast coder, in windows of 32,768 us.
 //!
 //! The core's encoder runs in a thread of its own, which owns its memory. Events are put in order of time
-//! within [`ORDER_US`] first, as an encoder leaves out those that are too late for their window.
+//! within 20 ms first, as an encoder leaves out those that are too late for their window.
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;

@@ -8,7 +8,7 @@
 //! | 31..0 | bit i: an event at x + i | unused |
 //!
 //! Other types: A `EXT_TRIGGER`, E `OTHERS`, F `CONTINUED`. [`Order`] tells how a word's bytes come.
-//! The wraps of time, every 4.8 hours, are [`HighTime`]'s. After a break events come again with the
+//! The wraps of time, every 4.8 hours, are those of `high_time.rs`. After a break events come again with the
 //! next `EVT_TIME_HIGH`.
 
 use eecvs_nostd::{Event, Polarity, Sensor};

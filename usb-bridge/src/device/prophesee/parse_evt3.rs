@@ -2,12 +2,12 @@
 //!
 //! `host_harness::formats::evt3` has the layout. A file's reader stops at a word outside of the
 //! sensor; a camera's counts it and goes on. Time is that of the file's reader but for its wraps,
-//! which [`HighTime`] carries, so that no damaged word moves them. After a break events come
+//! which `high_time.rs` carries, so that no damaged word moves them. After a break events come
 //! again once `TIME_HIGH`, `TIME_LOW` and `ADDR_Y` have.
 //!
 //! Most words come in groups: perhaps a repeated `TIME_HIGH`, perhaps a `TIME_LOW`, perhaps an `ADDR_Y`,
 //! and an `ADDR_X`. Which of the three are there cannot be predicted, so a group of any shape is taken in one
-//! step without a branch on it ([`Evt3Parser::run`]).
+//! step without a branch on it (`Evt3Parser::run`).
 
 use std::hint::select_unpredictable as pick;
 
