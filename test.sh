@@ -6,7 +6,8 @@
 #             instructions of the host's encoder, decoder and readers
 #   nostd     the core without std
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
-#   usb       the USB link: its tests, and simulated devices in a guest with a real kernel
+#   usb       the USB link: its tests, libusb against a mocked device, simulated cameras in a guest
+#             with a real kernel
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 5)
 #   demo      the first command of the README
 #
@@ -130,6 +131,12 @@ firmware() {
 
 usb() {
     local status=0
+    if ! have umockdev-wrapper || ! pkg-config --exists umockdev-1.0; then
+        echo "installing umockdev"
+        if ! { have apt-get && apt-get install -y -qq umockdev libumockdev-dev >/dev/null 2>&1; }; then
+            skip "usb: libusb against a mocked device: apt-get cannot install umockdev"
+        fi
+    fi
     cargo test -p usb-bridge
     usb-bridge/guest/check.sh || status=$?
     [ "$status" != 77 ] || skip "usb: the guest: see above what is missing"

@@ -111,7 +111,7 @@ status=0
 timeout --foreground "$GUEST_SECONDS" qemu-system-x86_64 \
     -M pc -accel tcg,thread=multi -cpu max -m 512 -nodefaults -no-reboot -nographic \
     -serial stdio -monitor none -device isa-debug-exit,iobase=0xf4,iosize=1 \
-    -device qemu-xhci,id=x "${devices[@]}" \
+    -device qemu-xhci,id=x,p2=15,p3=15 "${devices[@]}" \
     -kernel "$cache/kernel/vmlinuz" -initrd "$work/initramfs" \
     -append "console=ttyS0 quiet loglevel=4 panic=-1" </dev/null || status=$?
 # Twice what the guest wrote, plus one.

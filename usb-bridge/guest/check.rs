@@ -3,7 +3,7 @@
 //! `guest-check serve SOCKET` has the devices, one after the other, on the host;
 //! `guest-check run` is the guest's side, which asks for the next one when it is done with one;
 //! `guest-check usbip` has both in the guest, with the kernel's vhci-hcd between them;
-//! `guest-check all` is both, in the guest;
+//! `guest-check all MODEL EVENTS DIGEST ...` is all that the guest does, one after the other;
 //! `guest-check scenes FOLDER` writes a recording for every model and says what is in it;
 //! `guest-check capture MODEL EVENTS DIGEST ...` captures them in the guest.
 
@@ -92,10 +92,12 @@ fn main() -> ExitCode {
         ["usbip"] => vhci::run(),
         ["scenes", folder] => camera::scenes(folder),
         ["capture", ref wanted @ ..] => camera::capture(wanted),
-        ["all"] => run().and_then(|()| vhci::run()),
+        ["all", ref wanted @ ..] => run()
+            .and_then(|()| vhci::run())
+            .and_then(|()| camera::capture(wanted)),
         _ => Err(anyhow::anyhow!(
-            "usage: guest-check serve SOCKET | run | usbip | all | scenes FOLDER | \
-             capture MODEL EVENTS DIGEST ..."
+            "usage: guest-check serve SOCKET | run | usbip | scenes FOLDER | \
+             all|capture MODEL EVENTS DIGEST ..."
         )),
     };
     match result {
