@@ -6,6 +6,8 @@
 #             instructions of the host's encoder, decoder and readers
 #   nostd     the core without std
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
+#   usb       the USB link: its tests, libusb against a mocked device, simulated cameras in a guest
+#             with a real kernel
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 5)
 #   demo      the first command of the README
 #
@@ -127,6 +129,20 @@ firmware() {
     [ "$status" = 1 ] || { echo "a stack overflow ended with status $status"; return 1; }
 }
 
+usb() {
+    local status=0
+    if ! have umockdev-wrapper || ! pkg-config --exists umockdev-1.0; then
+        echo "installing umockdev"
+        if ! { have apt-get && apt-get install -y -qq umockdev libumockdev-dev >/dev/null 2>&1; }; then
+            skip "usb: libusb against a mocked device: apt-get cannot install umockdev"
+        fi
+    fi
+    cargo test -p usb-bridge
+    usb-bridge/guest/check.sh || status=$?
+    [ "$status" != 77 ] || skip "usb: the guest: see above what is missing"
+    [ "$status" = 0 ] || [ "$status" = 77 ]
+}
+
 fuzz() {
     if ! have c++; then
         skip "fuzz: libFuzzer needs a C++ compiler"
@@ -157,10 +173,10 @@ if [ "${1:-}" = --stage ]; then
 fi
 
 stages=("$@")
-[ ${#stages[@]} -gt 0 ] || stages=(lint unit nostd firmware fuzz demo)
+[ ${#stages[@]} -gt 0 ] || stages=(lint unit nostd firmware usb fuzz demo)
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | nostd | firmware | fuzz | demo) ;;
+        lint | unit | nostd | firmware | usb | fuzz | demo) ;;
         *) echo "test.sh: no stage '$stage'; see the head of this file" >&2; exit 2 ;;
     esac
 done

@@ -1,10 +1,11 @@
 //! Frames back to windows and events.
 
+use std::collections::VecDeque;
 use std::io::Read;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use eecvs_nostd::{Header, Mode, Sensor};
+use eecvs_nostd::{Frame, Header, Mode, Sensor};
 use serde::Serialize;
 
 use crate::formats::EventWriter;
@@ -19,6 +20,16 @@ use crate::reconstruct::{DecodedWindow, pixels};
 /// Reads the windows of a stream of frames, one at a time.
 pub struct WindowReader<R> {
     frames: FrameReader<R>,
+    windows: Windows,
+    /// Windows that are whole and were not taken yet: two at the most.
+    ready: VecDeque<DecodedWindow>,
+    /// Time spent on payloads.
+    busy: Duration,
+}
+
+/// Puts windows together from their frames, as these come.
+#[derive(Default)]
+pub struct Windows {
     pending: Option<DecodedWindow>,
     /// Events of `pending`.
     pending_events: u32,
@@ -26,8 +37,6 @@ pub struct WindowReader<R> {
     coefficients: CoefficientDecoder,
     hybrid: HybridDecoder,
     arrivals: Arrivals,
-    /// Time spent on payloads.
-    busy: Duration,
 }
 
 /// What the frames say of the events.
@@ -56,12 +65,8 @@ impl<R: Read> WindowReader<R> {
     pub fn new(frames: FrameReader<R>) -> Self {
         Self {
             frames,
-            pending: None,
-            pending_events: 0,
-            counts: FrameCounts::default(),
-            coefficients: CoefficientDecoder::default(),
-            hybrid: HybridDecoder::default(),
-            arrivals: Arrivals::default(),
+            windows: Windows::default(),
+            ready: VecDeque::new(),
             busy: Duration::ZERO,
         }
     }
@@ -73,12 +78,7 @@ impl<R: Read> WindowReader<R> {
 
     /// The frames' own counts so far.
     pub const fn counts(&self) -> FrameCounts {
-        let order = self.arrivals.counts();
-        FrameCounts {
-            windows_in_order: order.kept,
-            windows_order_lost: order.lost,
-            ..self.counts
-        }
+        self.windows.counts()
     }
 
     /// The next window that has events, or `None` at the end.
@@ -87,92 +87,132 @@ impl<R: Read> WindowReader<R> {
     /// Only I/O. A frame that does not decode is counted and left out.
     pub fn next_window(&mut self) -> Result<Option<DecodedWindow>> {
         loop {
+            if let Some(window) = self.ready.pop_front() {
+                return Ok(Some(window));
+            }
             let Some(located) = self.frames.next_frame().context("reading frames")? else {
-                self.arrivals.end();
-                return Ok(self.pending.take());
+                return Ok(self.windows.end());
             };
-            let header = located.frame.header;
             let started = Instant::now();
-            let decoded = match header.mode {
-                Mode::Transform => match pixels(&located.frame) {
-                    Ok(pixels) => Ok((pixels, vec![])),
-                    Err(_) => Err(Refused::Malformed),
-                },
-                Mode::Coefficients(coder) => {
-                    let pixels = self.coefficients.frame(&located.frame, coder);
-                    pixels.map(|pixels| (pixels, vec![]))
-                }
-                Mode::Hybrid(hybrid) => {
-                    let events = self.hybrid.frame(&located.frame, hybrid);
-                    events.map(|events| (vec![], events))
-                }
-            };
-            // Frames without end that call themselves parts of one window do not grow it.
-            let mut window = self.pending.as_mut().filter(|window| {
-                window.has_part(&header)
-                    && header.events <= header.window_events - self.pending_events
-            });
-            // With the events of the parts before in front of them.
-            let decoded = decoded.and_then(|(pixels, mut events)| {
-                let mut earlier = 0;
-                if let Some(window) = &mut window {
-                    earlier = window.events.len();
-                    window.events.append(&mut events);
-                    std::mem::swap(&mut window.events, &mut events);
-                }
-                let ordered = self.arrivals.frame(&located.frame, &mut events);
-                if let Some(window) = window
-                    && ordered.is_err()
-                {
-                    events.truncate(earlier);
-                    window.events = events;
-                    return Err(Refused::Malformed);
-                }
-                ordered.map(|()| (pixels, events))
-            });
+            let taken = self
+                .windows
+                .take(&located.frame, |window| self.ready.push_back(window));
             self.busy += started.elapsed();
-            let (pixels, events) = match decoded {
-                Ok(decoded) => decoded,
-                Err(refused) => {
-                    self.frames.count_refused(refused);
-                    continue;
-                }
-            };
-            self.counts.events_late += u64::from(header.late);
-            self.counts.events_filtered += u64::from(header.filtered);
-            self.counts.events_dropped += u64::from(header.dropped);
-            self.counts.events_thinned += u64::from(header.thinned);
-            if header.mode.is_lossless() {
-                self.counts.events_exact += u64::from(header.events);
-            } else {
-                self.counts.events_approximate += u64::from(header.events);
-            }
-            match &mut self.pending {
-                Some(window)
-                    if window.has_part(&header)
-                        && header.events <= header.window_events - self.pending_events =>
-                {
-                    self.pending_events += header.events;
-                    window.pixels.extend(pixels);
-                    window.events = events;
-                }
-                _ => {
-                    self.pending_events = header.events;
-                    let window = (header.events > 0).then_some(DecodedWindow {
-                        header,
-                        pixels,
-                        events,
-                    });
-                    let before = std::mem::replace(&mut self.pending, window);
-                    if before.is_some() {
-                        return Ok(before);
-                    }
-                }
-            }
-            if header.last && self.pending.is_some() {
-                return Ok(self.pending.take());
+            if let Err(refused) = taken {
+                self.frames.count_refused(refused);
             }
         }
+    }
+}
+
+impl Windows {
+    /// The frames' own counts so far.
+    #[must_use]
+    pub const fn counts(&self) -> FrameCounts {
+        let order = self.arrivals.counts();
+        FrameCounts {
+            windows_in_order: order.kept,
+            windows_order_lost: order.lost,
+            ..self.counts
+        }
+    }
+
+    /// Events that came of a window whose end has not.
+    #[must_use]
+    pub const fn pending_events(&self) -> u64 {
+        match &self.pending {
+            Some(_) => self.pending_events as u64,
+            None => 0,
+        }
+    }
+
+    /// Takes the next frame; `ready` gets the windows with events that end before or with it.
+    ///
+    /// # Errors
+    /// [`Refused`]: it does not decode, and is left out.
+    pub fn take(
+        &mut self,
+        frame: &Frame<'_>,
+        mut ready: impl FnMut(DecodedWindow),
+    ) -> Result<(), Refused> {
+        let header = frame.header;
+        let decoded = match header.mode {
+            Mode::Transform => match pixels(frame) {
+                Ok(pixels) => Ok((pixels, vec![])),
+                Err(_) => Err(Refused::Malformed),
+            },
+            Mode::Coefficients(coder) => {
+                let pixels = self.coefficients.frame(frame, coder);
+                pixels.map(|pixels| (pixels, vec![]))
+            }
+            Mode::Hybrid(hybrid) => {
+                let events = self.hybrid.frame(frame, hybrid);
+                events.map(|events| (vec![], events))
+            }
+        };
+        // Frames without end that call themselves parts of one window do not grow it.
+        let mut window = self.pending.as_mut().filter(|window| {
+            window.has_part(&header) && header.events <= header.window_events - self.pending_events
+        });
+        // With the events of the parts before in front of them.
+        let decoded = decoded.and_then(|(pixels, mut events)| {
+            let mut earlier = 0;
+            if let Some(window) = &mut window {
+                earlier = window.events.len();
+                window.events.append(&mut events);
+                std::mem::swap(&mut window.events, &mut events);
+            }
+            let ordered = self.arrivals.frame(frame, &mut events);
+            if let Some(window) = window
+                && ordered.is_err()
+            {
+                events.truncate(earlier);
+                window.events = events;
+                return Err(Refused::Malformed);
+            }
+            ordered.map(|()| (pixels, events))
+        });
+        let (pixels, events) = decoded?;
+        self.counts.events_late += u64::from(header.late);
+        self.counts.events_filtered += u64::from(header.filtered);
+        self.counts.events_dropped += u64::from(header.dropped);
+        self.counts.events_thinned += u64::from(header.thinned);
+        if header.mode.is_lossless() {
+            self.counts.events_exact += u64::from(header.events);
+        } else {
+            self.counts.events_approximate += u64::from(header.events);
+        }
+        match &mut self.pending {
+            Some(window)
+                if window.has_part(&header)
+                    && header.events <= header.window_events - self.pending_events =>
+            {
+                self.pending_events += header.events;
+                window.pixels.extend(pixels);
+                window.events = events;
+            }
+            _ => {
+                self.pending_events = header.events;
+                let window = (header.events > 0).then_some(DecodedWindow {
+                    header,
+                    pixels,
+                    events,
+                });
+                let before = std::mem::replace(&mut self.pending, window);
+                before.into_iter().for_each(&mut ready);
+            }
+        }
+        if header.last {
+            self.pending.take().into_iter().for_each(ready);
+        }
+        Ok(())
+    }
+
+    /// No further frame comes, or those that come do not go on from the last one: the window whose end
+    /// has not come.
+    pub fn end(&mut self) -> Option<DecodedWindow> {
+        self.arrivals.end();
+        self.pending.take()
     }
 }
 

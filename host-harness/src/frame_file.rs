@@ -53,6 +53,14 @@ impl LinkReport {
             }
     }
 
+    /// Counts a frame whose payload does not decode.
+    pub const fn count_refused(&mut self, refused: Refused) {
+        match refused {
+            Refused::Malformed => self.frames_malformed += 1,
+            Refused::Dependent => self.frames_dependent += 1,
+        }
+    }
+
     /// One line about what was met, or `None` for a clean stream.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
@@ -96,6 +104,64 @@ pub struct Located<'r> {
     pub offset: u64,
 }
 
+/// The order of the frames of a stream: what is lost, came twice, or begins anew.
+#[derive(Debug, Clone)]
+pub struct FrameOrder {
+    sequence: Sequence,
+    /// Sequence number and CRC-32 of the frames that came last, at number modulo the length.
+    recent: [Option<(u32, [u8; CRC_BYTES])>; RECENT],
+    newest_t0_us: u64,
+}
+
+impl Default for FrameOrder {
+    fn default() -> Self {
+        Self {
+            sequence: Sequence::new(),
+            recent: [None; RECENT],
+            newest_t0_us: 0,
+        }
+    }
+}
+
+impl FrameOrder {
+    /// Counts a frame's place in the sequence; whether it is to be delivered. `crc` is the frame's end.
+    pub fn take(&mut self, header: &Header, crc: [u8; CRC_BYTES], report: &mut LinkReport) -> bool {
+        let number = header.sequence;
+        let mut order = self.sequence.follow(number);
+        if order == Order::Repeated && self.begins_anew(header, crc) {
+            report.restarts += 1;
+            *self = Self::default();
+            order = self.sequence.follow(number);
+        }
+        match order {
+            Order::InOrder => {}
+            Order::Lost(frames) => report.frames_lost += u64::from(frames),
+            Order::Reordered => {
+                report.frames_reordered += 1;
+                report.frames_lost = report.frames_lost.saturating_sub(1);
+            }
+            Order::Repeated => {
+                report.frames_repeated += 1;
+                return false;
+            }
+        }
+        report.frames += 1;
+        self.recent[number as usize % RECENT] = Some((number, crc));
+        self.newest_t0_us = self.newest_t0_us.max(header.t0_us);
+        true
+    }
+
+    /// Whether a number that has come before is another frame's: of another file put behind the
+    /// first, or of an encoder that was started again.
+    fn begins_anew(&self, header: &Header, crc: [u8; CRC_BYTES]) -> bool {
+        match self.recent[header.sequence as usize % RECENT] {
+            Some((number, seen)) if number == header.sequence => seen != crc,
+            // Too old to be remembered: a repeated frame is neither new nor an encoder's first.
+            _ => header.sequence == 0 || header.t0_us > self.newest_t0_us,
+        }
+    }
+}
+
 /// Bytes of damaged frames that are checked and then searched for other frames: this many, and
 /// [`RESCANS`] times the bytes read. Only frames made to lie inside of each other reach it, whose
 /// checksums would cost the square of their length.
@@ -114,10 +180,7 @@ pub struct FrameReader<R> {
     /// Bytes of all damaged frames that were searched.
     rescanned: u64,
     ended: bool,
-    sequence: Sequence,
-    /// Sequence number and CRC-32 of the frames that came last, at number modulo the length.
-    recent: [Option<(u32, [u8; CRC_BYTES])>; RECENT],
-    newest_t0_us: u64,
+    order: FrameOrder,
     report: LinkReport,
 }
 
@@ -146,9 +209,7 @@ impl<R: Read> FrameReader<R> {
             in_damage: false,
             rescanned: 0,
             ended: false,
-            sequence: Sequence::new(),
-            recent: [None; RECENT],
-            newest_t0_us: 0,
+            order: FrameOrder::default(),
             report: LinkReport::default(),
         }
     }
@@ -161,10 +222,7 @@ impl<R: Read> FrameReader<R> {
 
     /// Counts a frame whose payload does not decode.
     pub const fn count_refused(&mut self, refused: Refused) {
-        match refused {
-            Refused::Malformed => self.report.frames_malformed += 1,
-            Refused::Dependent => self.report.frames_dependent += 1,
-        }
+        self.report.count_refused(refused);
     }
 
     /// The next frame, or `None` at the end of the source.
@@ -182,7 +240,7 @@ impl<R: Read> FrameReader<R> {
                     let crc_start = payload_start + frame.payload.len();
                     crc.copy_from_slice(&self.buffer[crc_start..crc_start + CRC_BYTES]);
                     self.in_damage = false;
-                    if self.take(&header, crc) {
+                    if self.order.take(&header, crc, &mut self.report) {
                         break (header, payload_start, bytes);
                     }
                     self.advance(bytes);
@@ -223,45 +281,6 @@ impl<R: Read> FrameReader<R> {
             },
             offset,
         }))
-    }
-
-    /// Counts a frame's place in the sequence; whether it is to be delivered.
-    fn take(&mut self, header: &Header, crc: [u8; CRC_BYTES]) -> bool {
-        let number = header.sequence;
-        let mut order = self.sequence.follow(number);
-        if order == Order::Repeated && self.begins_anew(header, crc) {
-            self.report.restarts += 1;
-            self.recent = [None; RECENT];
-            self.newest_t0_us = 0;
-            self.sequence = Sequence::new();
-            order = self.sequence.follow(number);
-        }
-        match order {
-            Order::InOrder => {}
-            Order::Lost(frames) => self.report.frames_lost += u64::from(frames),
-            Order::Reordered => {
-                self.report.frames_reordered += 1;
-                self.report.frames_lost = self.report.frames_lost.saturating_sub(1);
-            }
-            Order::Repeated => {
-                self.report.frames_repeated += 1;
-                return false;
-            }
-        }
-        self.report.frames += 1;
-        self.recent[number as usize % RECENT] = Some((number, crc));
-        self.newest_t0_us = self.newest_t0_us.max(header.t0_us);
-        true
-    }
-
-    /// Whether a number that has come before is another frame's: of another file put behind the
-    /// first, or of an encoder that was started again.
-    fn begins_anew(&self, header: &Header, crc: [u8; CRC_BYTES]) -> bool {
-        match self.recent[header.sequence as usize % RECENT] {
-            Some((number, seen)) if number == header.sequence => seen != crc,
-            // Too old to be remembered: a repeated frame is neither new nor an encoder's first.
-            _ => header.sequence == 0 || header.t0_us > self.newest_t0_us,
-        }
     }
 
     fn advance(&mut self, bytes: usize) {

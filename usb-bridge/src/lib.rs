@@ -13,6 +13,7 @@
 //! of them. [`peripheral`] is the other end of a USB cable, for devices that are only simulated.
 
 pub mod clock;
+pub mod cmd;
 pub mod device;
 pub mod forward;
 pub mod link;
@@ -22,5 +23,6 @@ pub mod pump;
 pub mod queue;
 pub mod record;
 pub mod session;
+pub mod source;
 pub mod stop;
 pub mod usage;

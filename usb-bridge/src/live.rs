@@ -35,67 +35,117 @@ pub struct Progress {
     pub relation: Option<Relation>,
 }
 
-/// Reader of a link's events.
-pub struct LiveReader {
-    format: &'static str,
-    camera: String,
-    pumped: Arc<Pumped>,
+/// Follows a stream: its parser, told of losses and the host's clock, and those who watch.
+pub struct Follower {
     parser: Box<dyn Parse>,
     clock: Clock,
-    chunk: Option<Chunk>,
-    /// Bytes of the chunk that are parsed.
-    used: usize,
-    ended: bool,
-    words: Skipped,
     progress: Arc<Mutex<Progress>>,
     told: Option<Instant>,
 }
 
-impl LiveReader {
-    /// Of a link that is pumped already; `camera` is what files name it, `progress` is brought up to date
-    /// some twenty times a second, and at the end.
+impl Follower {
+    /// Of a stream at its beginning; `progress` is brought up to date some twenty times a second.
     #[must_use]
-    pub fn new(
-        format: &'static str,
-        camera: String,
-        pumped: Arc<Pumped>,
-        parser: Box<dyn Parse>,
-        progress: Arc<Mutex<Progress>>,
-    ) -> Self {
+    pub fn new(parser: Box<dyn Parse>, progress: Arc<Mutex<Progress>>) -> Self {
         Self {
-            format,
-            camera,
-            pumped,
             parser,
             clock: Clock::default(),
-            chunk: None,
-            used: 0,
-            ended: false,
-            words: Skipped::default(),
             progress,
             told: None,
         }
     }
 
-    fn tell(&mut self) {
-        self.words = self.parser.words();
+    /// The parser.
+    #[must_use]
+    pub fn parser(&self) -> &dyn Parse {
+        self.parser.as_ref()
+    }
+
+    /// Before the bytes of a chunk.
+    pub fn begin(&mut self, chunk: &Chunk) {
+        if chunk.after_loss {
+            self.parser.resume(self.clock.device_us(chunk.at));
+        }
+    }
+
+    /// Bytes of a chunk; their events are appended.
+    pub fn parse(&mut self, bytes: &[u8], events: &mut Vec<Event>) {
+        self.parser.parse(bytes, events);
+    }
+
+    /// After the bytes of a chunk, which had arrived at `at`.
+    pub fn end(&mut self, at: Instant) {
+        if let Some(time_us) = self.parser.time_us() {
+            self.clock.note(at, time_us);
+        }
+        if self.told.is_none_or(|told| told.elapsed() > TELL) {
+            self.tell();
+            self.told = Some(Instant::now());
+        }
+    }
+
+    /// All of a chunk, whose events are only counted; `events` is room for them.
+    pub fn count(&mut self, chunk: &Chunk, events: &mut Vec<Event>) {
+        self.begin(chunk);
+        for part in chunk.bytes.chunks(PARSE_BYTES) {
+            events.clear();
+            self.parser.parse(part, events);
+        }
+        self.end(chunk.at);
+    }
+
+    /// Tells those who watch; at the end of a stream too.
+    pub fn tell(&mut self) {
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         *progress = Progress {
             events: self.parser.events(),
             time_us: self.parser.time_us(),
-            words: self.words.clone(),
+            words: self.parser.words(),
             losses: self.parser.losses(),
             relation: self.clock.relation(),
         };
+    }
+}
+
+/// Reader of a link's events.
+pub struct LiveReader {
+    format: &'static str,
+    camera: String,
+    pumped: Arc<Pumped>,
+    follower: Follower,
+    chunk: Option<Chunk>,
+    /// Bytes of the chunk that are parsed.
+    used: usize,
+    ended: bool,
+    words: Skipped,
+}
+
+impl LiveReader {
+    /// Of a link that is pumped already; `camera` is what files name it.
+    #[must_use]
+    pub fn new(
+        format: &'static str,
+        camera: String,
+        pumped: Arc<Pumped>,
+        follower: Follower,
+    ) -> Self {
+        Self {
+            format,
+            camera,
+            pumped,
+            follower,
+            chunk: None,
+            used: 0,
+            ended: false,
+            words: Skipped::default(),
+        }
     }
 
     /// The chunk that is read now, where there is one in time.
     fn next_chunk(&mut self) -> Option<Chunk> {
         match self.pumped.queue.take(WAIT) {
             Taken::Item(chunk) => {
-                if chunk.after_loss {
-                    self.parser.resume(self.clock.device_us(chunk.at));
-                }
+                self.follower.begin(&chunk);
                 self.used = 0;
                 Some(chunk)
             }
@@ -114,7 +164,7 @@ impl EventReader for LiveReader {
     }
 
     fn sensor(&self) -> Sensor {
-        self.parser.sensor()
+        self.follower.parser().sensor()
     }
 
     fn camera(&self) -> Option<&str> {
@@ -129,7 +179,8 @@ impl EventReader for LiveReader {
                 None => match self.next_chunk() {
                     Some(chunk) => chunk,
                     None if self.ended => {
-                        self.tell();
+                        self.words = self.follower.parser().words();
+                        self.follower.tell();
                         return match self.pumped.failure() {
                             Some(failure) => Err(failure.into()),
                             None => Ok(0),
@@ -140,19 +191,13 @@ impl EventReader for LiveReader {
             };
             let rest = chunk.bytes.get(self.used..).unwrap_or_default();
             let part = &rest[..rest.len().min(PARSE_BYTES)];
-            self.parser.parse(part, events);
+            self.follower.parse(part, events);
             self.used += part.len();
             if part.len() < rest.len() {
                 self.chunk = Some(chunk);
             } else {
-                if let Some(time_us) = self.parser.time_us() {
-                    self.clock.note(chunk.at, time_us);
-                }
+                self.follower.end(chunk.at);
                 self.pumped.reuse(chunk.bytes);
-                if self.told.is_none_or(|told| told.elapsed() > TELL) {
-                    self.tell();
-                    self.told = Some(Instant::now());
-                }
             }
             if events.len() > before {
                 return Ok(events.len() - before);
@@ -164,7 +209,7 @@ impl EventReader for LiveReader {
         if self.ended {
             return Pause::Ended;
         }
-        Pause::Until(self.parser.time_us().unwrap_or(0))
+        Pause::Until(self.follower.parser().time_us().unwrap_or(0))
     }
 
     fn skipped(&self) -> &Skipped {
@@ -259,13 +304,8 @@ mod tests {
             resumed: 0,
         };
         let progress = Arc::clone(progress);
-        LiveReader::new(
-            "steps",
-            "test".to_owned(),
-            pumped,
-            Box::new(parser),
-            progress,
-        )
+        let follower = Follower::new(Box::new(parser), progress);
+        LiveReader::new("steps", "test".to_owned(), pumped, follower)
     }
 
     /// Sends nothing after a quiet window until a frame has been written.

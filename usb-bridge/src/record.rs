@@ -1,14 +1,20 @@
 //! A live stream to a file that stays readable, whatever ends it.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Write};
 use std::num::NonZeroUsize;
 use std::path::Path;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use eecvs_nostd::Event;
 use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
 use host_harness::formats::{self, EventReader, Pause};
+
+use crate::link::Loss;
+use crate::link::raw_file::{Header, RawWriter};
+use crate::queue::Taken;
+use crate::session::Session;
 
 /// What a capture writes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,6 +42,53 @@ pub fn kind_of(path: &Path) -> Result<Kind> {
         ),
         _ => Ok(Kind::Events),
     }
+}
+
+/// Writes a device's own bytes, with their times of arrival, until the stream ends or fails.
+///
+/// # Errors
+/// The link, the file.
+pub fn stream(session: &Session, path: &Path) -> Result<()> {
+    let name = path.display();
+    let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
+    let started = Instant::now();
+    let since_1970 = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    let started_ns = u64::try_from(since_1970.as_nanos()).unwrap_or(u64::MAX);
+    let header = Header::new(session.model.name(), &session.info, started_ns);
+    let failed = |error: io::Error| anyhow!("{name}: cannot be written: {error}");
+    let out = BufWriter::with_capacity(1 << 16, file);
+    let mut writer = RawWriter::new(out, &header).map_err(failed)?;
+    // What the bytes hold is only counted.
+    let (mut follower, mut events) = (session.follower(), Vec::new());
+    let written = loop {
+        let chunk = match session.pumped.queue.take(Duration::from_millis(50)) {
+            Taken::Item(chunk) => chunk,
+            Taken::Nothing => continue,
+            Taken::Closed => break Ok(()),
+        };
+        follower.count(&chunk, &mut events);
+        let time = chunk.at.saturating_duration_since(started);
+        let lost = if chunk.after_loss {
+            writer.lost(time, None, Loss::Damaged)
+        } else {
+            Ok(())
+        };
+        let written = lost.and_then(|()| writer.bytes(time, &chunk.bytes));
+        session.pumped.reuse(chunk.bytes);
+        if let Err(error) = written {
+            break Err(failed(error));
+        }
+    };
+    follower.tell();
+    let finished = writer.finish().and_then(|mut out| out.flush());
+    written?;
+    finished.map_err(failed)?;
+    session
+        .pumped
+        .failure()
+        .map_or(Ok(()), |failure| Err(failure.into()))
 }
 
 /// Writes events until the stream ends or fails. What came before a failure is in the file, which is

@@ -8,10 +8,10 @@ use anyhow::{Context, Result};
 use host_harness::formats::Skipped;
 use serde::Serialize;
 
-use crate::device::{Info, Model, Parse};
+use crate::device::{Info, Model};
 use crate::link::Link;
 use crate::link::control::Control;
-use crate::live::{LiveReader, Progress};
+use crate::live::{Follower, LiveReader, Progress};
 use crate::pump::{self, Pumped};
 use crate::stop::Stop;
 use crate::usage::Usage;
@@ -113,15 +113,15 @@ impl Session {
             self.info.stream,
             self.info.name.clone(),
             Arc::clone(&self.pumped),
-            self.parser(),
-            Arc::clone(&self.progress),
+            self.follower(),
         )
     }
 
-    /// A parser at the beginning of its stream.
+    /// What follows its stream from the beginning, where [`Session::reader`] does not.
     #[must_use]
-    pub fn parser(&self) -> Box<dyn Parse> {
-        self.model.parser(&self.info)
+    pub fn follower(&self) -> Follower {
+        let parser = self.model.parser(&self.info);
+        Follower::new(parser, Arc::clone(&self.progress))
     }
 
     /// What is known of the stream so far.

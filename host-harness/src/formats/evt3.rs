@@ -33,14 +33,22 @@ use super::raw_header::{self, RawHeader};
 use super::wrapping::Wrapping;
 use super::{EventWriter, Skipped, create_file};
 
-const ADDR_Y: u16 = 0x0;
-const ADDR_X: u16 = 0x2;
-const VECT_BASE_X: u16 = 0x3;
-const VECT_12: u16 = 0x4;
-const VECT_8: u16 = 0x5;
-const TIME_LOW: u16 = 0x6;
-const TIME_HIGH: u16 = 0x8;
-const TIME_BITS: u32 = 12;
+/// Type of a word that tells the row.
+pub const ADDR_Y: u16 = 0x0;
+/// Type of a word that is an event.
+pub const ADDR_X: u16 = 0x2;
+/// Type of a word that tells the column and the polarity of the vectors after it.
+pub const VECT_BASE_X: u16 = 0x3;
+/// Type of a vector of 12 columns.
+pub const VECT_12: u16 = 0x4;
+/// Type of a vector of 8 columns.
+pub const VECT_8: u16 = 0x5;
+/// Type of a word with the lower bits of time.
+pub const TIME_LOW: u16 = 0x6;
+/// Type of a word with the upper bits of time.
+pub const TIME_HIGH: u16 = 0x8;
+/// Bits of each part of time.
+pub const TIME_BITS: u32 = 12;
 
 /// Events that one word can hold.
 const VECTOR_EVENTS: usize = 12;

@@ -4,6 +4,14 @@
 //! stopped; `parse.rs` turns its stream into events; `write.rs` turns events into its stream;
 //! `camera.rs` is the [`Peripheral`] that answers a host as the device would.
 
+pub mod davis;
+pub mod dvs128;
+pub mod dvxplorer;
+pub mod dvxplorer_mipi;
+pub mod inivation;
+pub mod mcu;
+pub mod prophesee;
+
 use std::time::Duration;
 
 use anyhow::Result;
@@ -14,7 +22,19 @@ use crate::link::control::Control;
 use crate::peripheral::Peripheral;
 
 /// Every model that is known; [`find`] looks here.
-pub static MODELS: &[&dyn Model] = &[];
+pub static MODELS: &[&dyn Model] = &[
+    &dvs128::Dvs128,
+    &davis::DAVIS240,
+    &davis::DAVIS346,
+    &dvxplorer::Dvxplorer,
+    &dvxplorer_mipi::DvxplorerMipi,
+    &prophesee::EVK,
+    &prophesee::EVK4_EVT21,
+    &prophesee::EVK3_HD,
+    &prophesee::EVK3_GENX320,
+    &prophesee::EVK2,
+    &mcu::MCU,
+];
 
 /// A USB vendor and product.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -73,10 +93,23 @@ pub trait Model: Sync {
         false
     }
 
+    /// Names of the streams that it may send, [`Info::stream`], the usual one first; with the
+    /// model's name and a `/` at most 32 bytes, as packets carry them.
+    fn streams(&self) -> &'static [&'static str];
+
     /// What a device of this model with such a sensor would say of itself, for streams that come
-    /// without it: files and packets. `stream` is one of its streams' names; `None` where it has none
-    /// of that name, or no such sensor.
-    fn describe(&self, sensor: Sensor, stream: &str) -> Option<Info>;
+    /// without it, in files and packets; `None` where it has no stream of that name.
+    fn describe(&self, sensor: Sensor, stream: &str) -> Option<Info> {
+        let named = |name: &&&str| **name == stream;
+        let stream = self.streams().iter().find(named)?;
+        Some(Info {
+            name: self.name().to_owned(),
+            serial: None,
+            firmware: "not told".to_owned(),
+            sensor,
+            stream,
+        })
+    }
 
     /// Asks a device what it is, and leaves it silent.
     ///
@@ -131,7 +164,7 @@ pub const EVENTS_PER_BYTE_MAX: usize = 8;
 /// Bytes of a device's stream in, events out.
 ///
 /// No input makes a parser panic, and nothing is allocated but for `events`, which gets at most
-/// [`EVENTS_PER_BYTE_MAX`] for every byte.
+/// [`EVENTS_PER_BYTE_MAX`] for every byte; of a stream of frames, at most a window for each.
 pub trait Parse: Send {
     /// Size of the sensor: every event is inside.
     fn sensor(&self) -> Sensor;
@@ -204,6 +237,7 @@ pub fn recognise(vendor: u16, product: u16, release: u16) -> Option<&'static dyn
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::forward::packet::ENCODING_BYTES;
 
     #[test]
     fn identities_are_unique_and_streams_come_from_the_device() {
@@ -211,6 +245,11 @@ mod tests {
         for model in MODELS {
             assert!(find(model.name()).is_some_and(|found| found.name() == model.name()));
             assert_ne!(model.transfers().endpoint & 0x80, 0, "{}", model.name());
+            assert!(!model.streams().is_empty());
+            for stream in model.streams() {
+                let encoding = format!("{}/{stream}", model.name());
+                assert!(encoding.len() <= ENCODING_BYTES, "{encoding}");
+            }
             for identity in model.identities() {
                 assert!(seen.insert(*identity), "{identity:?} is there twice");
                 let release = u16::from(identity.major.unwrap_or(0)) << 8;

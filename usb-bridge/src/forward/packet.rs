@@ -31,6 +31,8 @@ const VERSION: u8 = 1;
 pub const WORDS_BYTES_MAX: usize = 1 << 20;
 /// Bytes of the longest packet.
 pub const PACKET_BYTES_MAX: usize = size_of::<Head>() + WORDS_BYTES_MAX + CRC_BYTES;
+/// Most bytes of an encoding's name.
+pub const ENCODING_BYTES: usize = 32;
 const CRC_BYTES: usize = 4;
 const TIME_IS_KNOWN: u8 = 1;
 const AFTER_LOSS: u8 = 2;
@@ -43,7 +45,7 @@ struct Head {
     sync: [u8; 2],
     version: u8,
     flags: u8,
-    encoding: [u8; 32],
+    encoding: [u8; ENCODING_BYTES],
     width: U16,
     height: U16,
     sequence: U32,
@@ -84,10 +86,10 @@ pub enum Look<'b> {
 
 impl<'b> Packet<'b> {
     /// Appends the packet; `words` must not be longer than [`WORDS_BYTES_MAX`], nor the encoding's name
-    /// than 32 bytes: what is beyond is cut off.
+    /// than [`ENCODING_BYTES`]: what is beyond is cut off.
     pub fn write(&self, bytes: &mut Vec<u8>) {
         let words = &self.words[..self.words.len().min(WORDS_BYTES_MAX)];
-        let mut encoding = [0; 32];
+        let mut encoding = [0; ENCODING_BYTES];
         for (to, from) in encoding.iter_mut().zip(self.encoding.bytes()) {
             *to = from;
         }

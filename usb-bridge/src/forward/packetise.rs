@@ -3,8 +3,7 @@
 use eecvs_nostd::Event;
 
 use super::packet::{Packet, WORDS_BYTES_MAX};
-use crate::clock::{Clock, Relation};
-use crate::device::Parse;
+use crate::live::Follower;
 use crate::pump::Chunk;
 
 /// Bytes of a packet's words at the most: a chunk of a camera in a packet of its own, and datagrams few.
@@ -14,11 +13,10 @@ const WORDS_BYTES: usize = if WORDS_BYTES_MAX < 1 << 16 {
     1 << 16
 };
 
-/// Makes packets; its parser only follows the stream, for the time bases and the counts.
+/// Makes packets; what follows the stream is for the time bases and the counts alone.
 pub struct Packetiser {
     encoding: String,
-    parser: Box<dyn Parse>,
-    clock: Clock,
+    follower: Follower,
     sequence: u32,
     after_loss: bool,
     packet: Vec<u8>,
@@ -27,27 +25,14 @@ pub struct Packetiser {
 impl Packetiser {
     /// Of a stream at its beginning.
     #[must_use]
-    pub fn new(encoding: String, parser: Box<dyn Parse>) -> Self {
+    pub fn new(encoding: String, follower: Follower) -> Self {
         Self {
             encoding,
-            parser,
-            clock: Clock::default(),
+            follower,
             sequence: 0,
             after_loss: false,
             packet: Vec::new(),
         }
-    }
-
-    /// The parser that follows.
-    #[must_use]
-    pub fn parser(&self) -> &dyn Parse {
-        self.parser.as_ref()
-    }
-
-    /// How the clocks are related.
-    #[must_use]
-    pub fn relation(&self) -> Option<Relation> {
-        self.clock.relation()
     }
 
     /// Gives the packets of a chunk to `give`, each with its number of events; `events` is room.
@@ -57,17 +42,15 @@ impl Packetiser {
         events: &mut Vec<Event>,
         give: &mut dyn FnMut(&[u8], u64),
     ) {
-        if chunk.after_loss {
-            self.parser.resume(self.clock.device_us(chunk.at));
-            self.after_loss = true;
-        }
+        self.follower.begin(chunk);
+        self.after_loss |= chunk.after_loss;
         for words in chunk.bytes.chunks(WORDS_BYTES) {
-            let time_base_us = self.parser.time_us();
+            let time_base_us = self.follower.parser().time_us();
             events.clear();
-            self.parser.parse(words, events);
+            self.follower.parse(words, events);
             let packet = Packet {
                 encoding: &self.encoding,
-                sensor: self.parser.sensor(),
+                sensor: self.follower.parser().sensor(),
                 sequence: self.sequence,
                 time_base_us,
                 after_loss: self.after_loss,
@@ -80,8 +63,11 @@ impl Packetiser {
             self.sequence = self.sequence.wrapping_add(1);
             self.after_loss = false;
         }
-        if let Some(time_us) = self.parser.time_us() {
-            self.clock.note(chunk.at, time_us);
-        }
+        self.follower.end(chunk.at);
+    }
+
+    /// Tells those who watch, at the end of the stream.
+    pub fn tell(&mut self) {
+        self.follower.tell();
     }
 }

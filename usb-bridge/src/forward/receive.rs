@@ -220,7 +220,7 @@ impl Receiver<'_> {
                             format!("{}: cannot be written", self.path.display())
                         })?,
                         Output::Events(_) => {
-                            self.follow("mcu/frames", sensor)?;
+                            self.follow("eecvs/frames", sensor)?;
                             self.parse(bytes)?;
                         }
                     }

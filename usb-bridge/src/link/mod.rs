@@ -4,7 +4,15 @@
 //! stand around any of them and are links themselves.
 
 pub mod control;
+pub mod faults;
 pub mod listen;
+pub mod loopback;
+pub mod raw_file;
+pub mod replay;
+pub mod serial;
+pub mod tcp;
+pub mod trace;
+pub mod usb;
 
 use std::time::{Duration, Instant};
 
@@ -119,4 +127,11 @@ pub trait Link: Send {
     /// # Errors
     /// The link failed.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
+}
+
+/// The moment at which `timeout` from now ends; one that no clock can hold is a day.
+pub(crate) fn until(timeout: Duration) -> Instant {
+    let now = Instant::now();
+    now.checked_add(timeout)
+        .unwrap_or(now + Duration::from_secs(24 * 60 * 60))
 }

@@ -2,6 +2,30 @@
 //!
 //! A [`Peripheral`] answers what a host asks. What carries the questions stands beside it: inside the
 //! process, over usbredir to a virtual machine, over USB/IP to a kernel.
+//!
+//! ```text
+//! descriptors  what a device says of itself, from a few lines
+//! standard     the requests of chapter 9, for any device
+//! attached     a device on its bus: requests, halts, transfers in flight
+//! usbredir     ... for QEMU's usb-redir device
+//! usbip        ... for Linux' vhci-hcd
+//! socket       one host at the other end of a socket
+//! server       hosts that come and go, over TCP; unix_server over a Unix socket
+//! stream       a recording as the bytes that a device sends, in its time
+//! sequence     a device with a known stream, for tests
+//! ```
+
+pub mod attached;
+pub mod descriptors;
+pub mod sequence;
+pub mod server;
+pub mod socket;
+pub mod standard;
+pub mod stream;
+#[cfg(unix)]
+pub mod unix_server;
+pub mod usbip;
+pub mod usbredir;
 
 use crate::link::control::Request;
 

@@ -1,0 +1,298 @@
+//! The end-to-end test of simulated devices: a guest's kernel and libusb against this crate.
+//!
+//! `guest-check serve SOCKET` has the devices, one after the other, on the host;
+//! `guest-check run` is the guest's side, which asks for the next one when it is done with one;
+//! `guest-check usbip` has both in the guest, with the kernel's vhci-hcd between them;
+//! `guest-check all MODEL EVENTS DIGEST ...` is all that the guest does, one after the other;
+//! `guest-check scenes FOLDER` writes a recording for every model and says what is in it;
+//! `guest-check capture MODEL EVENTS DIGEST ...` captures them in the guest.
+
+mod camera;
+mod vhci;
+
+use std::os::unix::net::UnixListener;
+use std::process::ExitCode;
+use std::sync::mpsc::{self, Sender};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use usb_bridge::device::Transfers;
+use usb_bridge::link::control::{Control, Request};
+use usb_bridge::link::usb::{Bus, Device, UsbLink};
+use usb_bridge::link::{Link as _, LinkError, Loss, Received};
+use usb_bridge::peripheral::Speed;
+use usb_bridge::peripheral::sequence::{self, Check, SequenceDevice};
+use usb_bridge::peripheral::socket::{self, Change};
+use usb_bridge::peripheral::usbredir::UsbRedir;
+
+/// Bytes of a stream that a case reads.
+const BYTES: u64 = 4 << 20;
+/// How the stream is read. The device ends a transfer itself when it pauses: none is taken back.
+const TRANSFERS: Transfers = Transfers {
+    endpoint: sequence::STREAM,
+    interface: 0,
+    count: 8,
+    bytes: 64 << 10,
+    timeout: Duration::ZERO,
+};
+/// A device shows within this time, in an emulated machine.
+const APPEARS: Duration = Duration::from_secs(30);
+
+/// A device and what the guest does with it.
+struct Case {
+    name: &'static str,
+    device: fn() -> SequenceDevice,
+    run: fn(&Device) -> Result<()>,
+}
+
+const CASES: &[Case] = &[
+    Case {
+        name: "high speed",
+        device: || SequenceDevice::new(Speed::High),
+        run: |device| stream(device, BYTES, 0, Duration::ZERO),
+    },
+    Case {
+        name: "super speed",
+        device: || SequenceDevice::new(Speed::Super),
+        run: |device| stream(device, BYTES, 0, Duration::ZERO),
+    },
+    Case {
+        name: "commands",
+        device: || SequenceDevice::new(Speed::Super),
+        run: commands,
+    },
+    Case {
+        name: "data that is late",
+        device: || SequenceDevice::new(Speed::High).pause(3),
+        run: |device| stream(device, BYTES / 8, 0, Duration::ZERO),
+    },
+    Case {
+        name: "slow host",
+        device: || SequenceDevice::new(Speed::Super),
+        run: |device| stream(device, BYTES / 2, 0, Duration::from_millis(20)),
+    },
+    Case {
+        name: "stall",
+        device: || SequenceDevice::new(Speed::Super).stall_at(1_000_012),
+        run: |device| stream(device, BYTES / 2, 1, Duration::ZERO),
+    },
+    Case {
+        name: "unplugged",
+        device: || SequenceDevice::new(Speed::High),
+        run: unplugged,
+    },
+];
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let result = match arguments[..] {
+        ["serve", path] => serve(path),
+        ["run"] => run(),
+        ["usbip"] => vhci::run(),
+        ["scenes", folder] => camera::scenes(folder),
+        ["capture", ref wanted @ ..] => camera::capture(wanted),
+        ["all", ref wanted @ ..] => run()
+            .and_then(|()| vhci::run())
+            .and_then(|()| camera::capture(wanted)),
+        _ => Err(anyhow::anyhow!(
+            "usage: guest-check serve SOCKET | run | usbip | scenes FOLDER | \
+             all|capture MODEL EVENTS DIGEST ..."
+        )),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("guest-check: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The host's side: each device until the guest notes that it wants the next.
+fn serve(path: &str) -> Result<()> {
+    let listener = UnixListener::bind(path).with_context(|| path.to_owned())?;
+    let (changes, cable) = mpsc::channel();
+    // The receiver is here.
+    let _ = changes.send(plug(0, &changes));
+    let (mut socket, _) = listener.accept()?;
+    let report = socket::serve(&mut socket, &mut UsbRedir::new(), &mut || {
+        cable.try_recv().ok()
+    })?;
+    println!("{report:?}");
+    ensure!(
+        report.packets_odd == 0 && !report.is_rejected,
+        "odd packets"
+    );
+    ensure!(report.traffic.bytes_overflown == 0, "bytes were lost");
+    Ok(())
+}
+
+/// Plugs in the device of a case; a note of the guest replaces it by the next.
+fn plug(number: usize, changes: &Sender<Change>) -> Change {
+    let Some(case) = CASES.get(number) else {
+        return Change::Unplug;
+    };
+    let changes = changes.clone();
+    let device = (case.device)().named(case.name).on_note(move |note| {
+        // Whoever has the other end of the channel has ended, otherwise.
+        if note == b"next" {
+            let _ = changes.send(plug(number + 1, &changes));
+        }
+    });
+    Change::Plug(Box::new(device))
+}
+
+/// The guest's side.
+fn run() -> Result<()> {
+    for case in CASES {
+        let started = Instant::now();
+        let device = open(case.name).context(case.name)?;
+        let found = started.elapsed();
+        (case.run)(&device).context(case.name)?;
+        println!(
+            "ok: {} (found after {} ms, took {} ms)",
+            case.name,
+            found.as_millis(),
+            (started.elapsed() - found).as_millis()
+        );
+    }
+    Ok(())
+}
+
+/// Opens the device with this product's name, when it has appeared.
+fn open(name: &str) -> Result<Device> {
+    let until = Instant::now() + APPEARS;
+    while Instant::now() < until {
+        let found = Bus::new()?
+            .all()?
+            .into_iter()
+            .find(|one| one.product_name.as_deref() == Some(name));
+        // The kernel may not have made its file yet.
+        if let Some(device) = found.and_then(|one| one.open(0).ok()) {
+            return Ok(device);
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    bail!("does not appear")
+}
+
+fn vendor_out(device: &Device, request: u8, data: &[u8]) -> Result<(), LinkError> {
+    let request = Request::vendor_out(request, 0, 0);
+    device.control().control_out(request, data)
+}
+
+/// Asks the host for the next device, which unplugs this one.
+fn next(device: &Device) {
+    // The device may be gone before the request has its status.
+    let _ = vendor_out(device, sequence::NOTE, b"next");
+}
+
+/// Reads a stream until `bytes` have come, with `stalls` on the way.
+fn stream(device: &Device, bytes: u64, stalls: u32, pause: Duration) -> Result<()> {
+    let mut link: UsbLink = device.stream(&TRANSFERS)?;
+    // Nothing comes before the start.
+    ensure!(matches!(
+        link.receive(Duration::from_millis(50))?,
+        Received::Nothing
+    ));
+    vendor_out(device, sequence::START, &[])?;
+    let mut check = Check::default();
+    let mut stalls_found = 0;
+    while check.bytes() < bytes {
+        match link.receive(Duration::from_secs(10))? {
+            Received::Bytes { bytes, .. } => check.take(bytes),
+            Received::Lost {
+                cause: Loss::Stalled,
+                ..
+            } => stalls_found += 1,
+            other => bail!("{other:?} after {} bytes", check.bytes()),
+        }
+        std::thread::sleep(pause);
+    }
+    ensure!(stalls_found == stalls, "{stalls_found} stalls");
+    // What flows when the stream is held still comes, to the last byte.
+    vendor_out(device, sequence::STOP, &[])?;
+    while let Received::Bytes { bytes, .. } = link.receive(Duration::from_millis(200))? {
+        check.take(bytes);
+    }
+    ensure!(
+        check.is_good(),
+        "byte {:?} of {} is wrong",
+        check.first_wrong(),
+        check.bytes()
+    );
+    let mut sent = [0; 8];
+    let asked = Request::vendor_in(sequence::SENT, 0, 0);
+    device.control().control_in(asked, &mut sent)?;
+    let sent = u64::from_le_bytes(sent);
+    ensure!(
+        sent == check.bytes(),
+        "{} of {sent} bytes came",
+        check.bytes()
+    );
+    drop(link);
+    next(device);
+    Ok(())
+}
+
+/// Requests and bulk endpoints that carry commands.
+fn commands(device: &Device) -> Result<()> {
+    let mut control = device.control();
+    let note: Vec<u8> = (0..64).collect();
+    vendor_out(device, sequence::NOTE, &note)?;
+    let mut back = [0; 100];
+    let length = control.control_in(Request::vendor_in(sequence::NOTE, 0, 0), &mut back)?;
+    ensure!(back[..length] == note[..], "the note came back otherwise");
+    ensure!(
+        vendor_out(device, 0x01, &[]).is_err(),
+        "nothing was refused"
+    );
+    let mut echo = |control: &mut dyn Control, bytes: &[u8]| -> Result<()> {
+        control.bulk_out(sequence::COMMANDS, bytes)?;
+        let come = control.bulk_in(sequence::ANSWERS, &mut back)?;
+        ensure!(back[..come] == *bytes, "an answer differs");
+        Ok(())
+    };
+    for length in [1, 63, 64] {
+        echo(&mut control, &note[..length])?;
+    }
+    // Longer than the device takes: its endpoint halts until that is ended.
+    let long = control.bulk_out(sequence::COMMANDS, &[0; 65]);
+    ensure!(long.is_err(), "{long:?}");
+    let halted = control.bulk_out(sequence::COMMANDS, &[1]);
+    ensure!(halted.is_err(), "{halted:?}");
+    control.clear_halt(sequence::COMMANDS)?;
+    echo(&mut control, &[1])?;
+    // Taken back while it waits, and asked for again.
+    let late = control.bulk_in(sequence::ANSWERS, &mut [0; 64]);
+    ensure!(late.is_err(), "{late:?}");
+    echo(&mut control, &[2])?;
+    next(device);
+    Ok(())
+}
+
+/// The device leaves in the middle of its stream.
+fn unplugged(device: &Device) -> Result<()> {
+    let mut link: UsbLink = device.stream(&TRANSFERS)?;
+    vendor_out(device, sequence::START, &[])?;
+    let mut check = Check::default();
+    let mut is_asked = false;
+    loop {
+        match link.receive(Duration::from_secs(10)) {
+            Ok(Received::Bytes { bytes, .. }) => check.take(bytes),
+            Err(LinkError::Unplugged { .. }) => break,
+            other => bail!("{other:?} after {} bytes", check.bytes()),
+        }
+        if check.bytes() > BYTES / 4 && !is_asked {
+            is_asked = true;
+            next(device);
+        }
+    }
+    ensure!(
+        is_asked && check.is_good(),
+        "wrong: {:?}",
+        check.first_wrong()
+    );
+    Ok(())
+}

@@ -1,0 +1,160 @@
+//! `eecvs-usb capture`: a device's stream to a file.
+
+use std::path::PathBuf;
+use std::sync::PoisonError;
+use std::thread;
+use std::time::Duration;
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use host_harness::cmd::encode::{CodecOptions, LimitOptions};
+use host_harness::cmd::output::{print, print_json};
+use host_harness::encode::{Codec, EncodeSummary};
+use host_harness::formats::EventReader;
+use indicatif::{ProgressBar, ProgressDrawTarget};
+use serde::Serialize;
+
+use super::options::{DeviceOptions, StreamOptions, warn_of_losses};
+use crate::record::{self, Kind};
+use crate::session::{Report, Session};
+use crate::stop::Stop;
+
+/// Record a device's stream
+#[derive(Debug, Args)]
+pub struct Capture {
+    /// File to write; its extension says what: .stream (the device's own bytes, with arrival times),
+    /// .eecvs (frames), or a format of recordings: .raw, .aedat4, .csv, ...
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+
+    /// Encode into frames while capturing; .eecvs implies it
+    #[arg(long)]
+    encode: bool,
+
+    /// Write over a file that is there
+    #[arg(long)]
+    overwrite: bool,
+
+    #[command(flatten)]
+    device: DeviceOptions,
+
+    #[command(flatten)]
+    stream: StreamOptions,
+
+    #[command(flatten)]
+    codec: CodecOptions,
+
+    #[command(flatten)]
+    limits: LimitOptions,
+}
+
+/// What a capture was.
+#[derive(Debug, Serialize)]
+struct Summary {
+    file: PathBuf,
+    #[serde(flatten)]
+    session: Report,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    encoding: Option<EncodeSummary>,
+}
+
+impl Capture {
+    /// Captures until Ctrl-C, a limit, or the end of the device.
+    ///
+    /// # Errors
+    /// A device that cannot be used, a link that fails, a file that cannot be written: what came before
+    /// is in the file.
+    pub fn run(self) -> Result<()> {
+        let kind = record::kind_of(&self.output)?;
+        ensure!(
+            kind == Kind::Frames || !self.encode,
+            "{}: --encode writes frames: give the file the extension .eecvs",
+            self.output.display()
+        );
+        record::refuse_existing(&self.output, self.overwrite)?;
+        let stop = Stop::on_signals()?;
+        let source = self.device.open(&stop)?;
+        let session = Session::start(
+            source,
+            self.stream.queue_bytes(),
+            &stop,
+            self.stream.limits(),
+        )?;
+        let over = Stop::default();
+        let (encoding, outcome) = thread::scope(|scope| {
+            scope.spawn(|| show(&session, &over));
+            let outcome = self.record(kind, &session);
+            over.ask();
+            match outcome {
+                Ok(encoding) => (encoding, Ok(())),
+                Err(error) => (None, Err(error)),
+            }
+        });
+        let (report, unstopped) = session.finish();
+        warn_of_losses(&report);
+        let summary = Summary {
+            file: self.output,
+            session: report,
+            encoding,
+        };
+        if self.stream.json {
+            print_json(&summary)?;
+        } else {
+            print(&summary.session.table())?;
+        }
+        outcome?;
+        unstopped.map_or(Ok(()), Err)
+    }
+
+    fn record(&self, kind: Kind, session: &Session) -> Result<Option<EncodeSummary>> {
+        match kind {
+            Kind::Stream => record::stream(session, &self.output).map(|()| None),
+            Kind::Events => record::events(&mut session.reader(), &self.output).map(|_| None),
+            Kind::Frames => {
+                let reader: Box<dyn EventReader> = Box::new(session.reader());
+                let config = self.codec.config(reader.sensor())?;
+                let (mut reader, config) = self.codec.look(reader, config);
+                let hot = self.codec.hot_pixels(reader.sensor())?;
+                let codec = Codec {
+                    hot: &hot,
+                    ..Codec::from(config)
+                };
+                let limits = self.limits.limits();
+                record::frames(reader.as_mut(), codec, limits, &self.output).map(Some)
+            }
+        }
+    }
+}
+
+/// Shows on a terminal how far the capture is.
+fn show(session: &Session, over: &Stop) {
+    let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
+    let progress = session.progress();
+    let (mut before, tick) = (0, Duration::from_millis(250));
+    let mut rate = 0.0;
+    while !over.is_asked() {
+        let (events, parsed_losses) = {
+            let progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
+            (
+                progress.events,
+                progress.losses.iter().map(|(_, n)| n).sum::<u64>(),
+            )
+        };
+        let losses: u64 = session.pumped.account.losses().map(|(_, n)| n).sum();
+        let now = (events - before) as f64 / tick.as_secs_f64();
+        rate = if rate == 0.0 {
+            now
+        } else {
+            0.7 * rate + 0.3 * now
+        };
+        before = events;
+        bar.set_message(format!(
+            "{events} events, {:.2} million/s, {} losses",
+            rate / 1e6,
+            losses + parsed_losses
+        ));
+        bar.tick();
+        thread::sleep(tick);
+    }
+    bar.finish_and_clear();
+}

@@ -1,0 +1,8 @@
+//! Subcommands of `eecvs-usb`, one file each, their flags beside them.
+
+pub mod capture;
+pub mod forward;
+pub mod list;
+pub mod options;
+pub mod receive;
+pub mod simulate;

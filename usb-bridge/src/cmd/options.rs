@@ -1,0 +1,148 @@
+//! Flags that several commands share, and what they print alike.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Result;
+use clap::Args;
+use host_harness::cmd::output::rows;
+
+use crate::peripheral::stream::Pace;
+use crate::session::{Limits, Report, Source};
+use crate::source;
+use crate::stop::Stop;
+
+/// Which device.
+#[derive(Debug, Clone, Args)]
+pub struct DeviceOptions {
+    /// Device: usb:BUS-PORT, a serial number or a model, as `list` shows them; serial:PATH for an MCU's
+    /// serial port; replay:FILE.stream; sim:MODEL:FILE for a simulated camera that plays a recording
+    /// [default: the only one that is attached]
+    #[arg(long, value_name = "ID")]
+    device: Option<source::Name>,
+
+    /// Wait until the device is attached
+    #[arg(long)]
+    wait: bool,
+
+    /// Pace of sim: and replay:, when events are due: real (as recorded), max (as fast as they are
+    /// taken), N per second, or Fx (F times as fast as recorded)
+    #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
+    rate: Pace,
+
+    /// Also write every transfer to a file that Wireshark opens
+    #[arg(long, value_name = "FILE.pcapng")]
+    trace: Option<PathBuf>,
+}
+
+impl DeviceOptions {
+    /// Opens it, and asks it what it is.
+    ///
+    /// # Errors
+    /// There is none, or it cannot be used: the message says what to do.
+    pub fn open(&self, stop: &Stop) -> Result<Source> {
+        source::open(
+            self.device.as_ref(),
+            &source::Options {
+                wait: self.wait,
+                rate: self.rate,
+                trace: self.trace.clone(),
+            },
+            stop,
+        )
+    }
+}
+
+/// How long a stream is taken, and what waits.
+#[derive(Debug, Clone, Copy, Args)]
+pub struct StreamOptions {
+    /// End after this many seconds
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    duration_s: Option<Duration>,
+
+    /// End after this many events, and those that came with the last of them
+    #[arg(long, value_name = "N")]
+    events: Option<u64>,
+
+    /// Bytes that wait between the link and what is done with them, in MiB; beyond, they are let go of
+    /// and counted
+    #[arg(long, value_name = "MIB", default_value_t = 64,
+          value_parser = clap::value_parser!(u16).range(1..=4096))]
+    queue_mib: u16,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    pub json: bool,
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
+}
+
+impl StreamOptions {
+    /// When the stream ends.
+    #[must_use]
+    pub const fn limits(&self) -> Limits {
+        Limits {
+            duration: self.duration_s,
+            events: self.events,
+        }
+    }
+
+    /// Bytes of the queue behind the link.
+    #[must_use]
+    pub const fn queue_bytes(&self) -> usize {
+        (self.queue_mib as usize) << 20
+    }
+}
+
+/// A line on stderr where something was lost.
+pub fn warn_of_losses(report: &Report) {
+    if report.losses.is_empty() {
+        return;
+    }
+    let losses: Vec<String> = report
+        .losses
+        .iter()
+        .map(|(cause, n)| format!("{cause}: {n}"))
+        .collect();
+    eprintln!("eecvs-usb: {}: lost: {}", report.device, losses.join("; "));
+}
+
+impl Report {
+    /// For people.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let clock = match (self.drift_ppm, self.clock_residual_us) {
+            (Some(drift_ppm), Some(residual_us)) => {
+                format!("{drift_ppm:+.1} ppm against the host's, within {residual_us:.0} us")
+            }
+            _ => "not related to the host's".to_owned(),
+        };
+        let mut table = rows([
+            ("device", self.device.clone()),
+            ("model", self.model.to_owned()),
+            ("firmware", self.firmware.clone()),
+            ("sensor", format!("{} x {}", self.width, self.height)),
+            ("seconds", format!("{:.3}", self.seconds)),
+            ("bytes", self.bytes.to_string()),
+            ("transfers", self.transfers.to_string()),
+            ("events", self.events.to_string()),
+            ("events per second", format!("{:.0}", self.events_per_s)),
+            ("device's clock", clock),
+            ("queue peak, bytes", self.queue_peak_bytes.to_string()),
+            ("processor time, s", format!("{:.2}", self.cpu_s)),
+        ]);
+        for (title, counts) in [("other words", &self.words), ("lost", &self.losses)] {
+            if !counts.is_empty() {
+                let counts = counts.iter().map(|(name, n)| (*name, n.to_string()));
+                table += &format!("{title}\n");
+                for line in rows(counts).lines() {
+                    table += &format!("  {line}\n");
+                }
+            }
+        }
+        table
+    }
+}

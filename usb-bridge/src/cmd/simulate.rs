@@ -1,0 +1,310 @@
+//! `eecvs-usb simulate`: a camera that sends a recording.
+
+use std::net::TcpListener;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use eecvs_nostd::Sensor;
+use host_harness::cmd::options::SizeOptions;
+use host_harness::cmd::output::{print, print_json, rows};
+use host_harness::formats;
+use host_harness::progress::Progress;
+use serde::Serialize;
+
+use crate::device::{Due, MODELS, Model, Stream, find};
+use crate::peripheral::Peripheral;
+use crate::peripheral::server::{Service, serve_usbip};
+use crate::peripheral::socket::Report;
+use crate::peripheral::stream::{Pace, Recording, Sent};
+
+/// Bytes that are taken from the stream at once, where nobody is connected to it.
+const ROOM: usize = 1 << 16;
+
+/// Simulate a camera that sends a recording
+///
+/// With --usbredir or --usbip, a virtual machine or a kernel gets the camera, and each that connects
+/// gets the recording from its beginning, until Ctrl-C. Without them: what the camera would send.
+#[derive(Debug, Args)]
+pub struct Simulate {
+    /// Which camera
+    #[arg(value_parser = model)]
+    model: &'static str,
+
+    /// Recording to send
+    file: PathBuf,
+
+    /// When events are due: real (as recorded), max (as the host takes them), N per second, or Fx
+    /// (F times as fast as recorded)
+    #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
+    rate: Pace,
+
+    /// Begin anew at the end
+    #[arg(long = "loop")]
+    repeat: bool,
+
+    /// Device's time of the first event in microseconds [default: the recording's, or 0 where that is
+    /// 2^32 and more]
+    #[arg(long, value_name = "T")]
+    start_us: Option<u64>,
+
+    /// Offer the camera to QEMU's device usb-redir, at this Unix socket
+    #[cfg(unix)]
+    #[arg(long, value_name = "SOCK", conflicts_with = "usbip")]
+    usbredir: Option<PathBuf>,
+
+    /// Offer the camera over USB/IP, at this address and port (port 3240 is what hosts try)
+    #[arg(long, value_name = "ADDR")]
+    usbip: Option<String>,
+
+    /// End when the first host has left
+    #[arg(long)]
+    once: bool,
+
+    #[command(flatten)]
+    size: SizeOptions,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was sent.
+#[derive(Debug, Serialize)]
+struct Summary {
+    model: &'static str,
+    width: u16,
+    height: u16,
+    events: u64,
+    bytes: u64,
+    bytes_per_event: f64,
+    seconds: f64,
+    events_per_s: f64,
+    bytes_per_s: f64,
+    rounds: u64,
+    late_us: u64,
+    first_us: Option<u64>,
+    first_device_us: Option<u64>,
+}
+
+impl Simulate {
+    /// Runs the command.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, or does not fit the model; an address that cannot be had.
+    pub fn run(self) -> Result<()> {
+        let model = find(self.model).context("no such model")?;
+        let sensor = formats::open(&self.file, self.size.sensor())?.sensor();
+        let stop = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&stop);
+        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
+            .context("Ctrl-C cannot be handled")?;
+        let source = Source {
+            command: &self,
+            model,
+            sensor,
+            sent: Mutex::default(),
+        };
+        #[cfg(unix)]
+        if let Some(path) = &self.usbredir {
+            let server = crate::peripheral::unix_server::UnixServer::listen(path)?;
+            source.announce(&format!("{}", path.display()));
+            return source.serve(&stop, |service| server.serve_usbredir(service));
+        }
+        if let Some(address) = &self.usbip {
+            let listener = TcpListener::bind(address)
+                .with_context(|| format!("{address}: cannot be listened at"))?;
+            let address = listener.local_addr().context("socket")?;
+            source.announce(&format!("{address}"));
+            return source.serve(&stop, |service| serve_usbip(&listener, service));
+        }
+        let sent = self.drain(&source, &stop)?;
+        source.print(&sent)
+    }
+
+    /// Takes the stream, as a camera without a host would.
+    fn drain(&self, source: &Source<'_>, stop: &AtomicBool) -> Result<Arc<Sent>> {
+        let mut recording = source.recording()?;
+        let sent = recording.sent();
+        let progress = Progress::new("events");
+        let mut bytes = Vec::with_capacity(ROOM);
+        while !stop.load(Ordering::Relaxed) {
+            bytes.clear();
+            if recording.take(ROOM, &mut bytes)? == Due::Ended && bytes.len() < ROOM {
+                break;
+            }
+            progress.set(sent.events());
+            if bytes.is_empty() {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+        Ok(sent)
+    }
+}
+
+/// The recording and the model that are simulated.
+struct Source<'s> {
+    command: &'s Simulate,
+    model: &'static dyn Model,
+    sensor: Sensor,
+    /// Of the latest device that was made.
+    sent: Mutex<Arc<Sent>>,
+}
+
+impl Source<'_> {
+    fn recording(&self) -> Result<Recording> {
+        let writer = self.model.writer(self.sensor).with_context(|| {
+            format!(
+                "{}: no {} has a sensor of {}x{}: convert it with eecvs convert --crop, or choose \
+                 another model",
+                self.command.file.display(),
+                self.model.name(),
+                self.sensor.width,
+                self.sensor.height
+            )
+        })?;
+        let file = self.command.file.clone();
+        let size = self.command.size.sensor();
+        let open = Box::new(move || formats::open(&file, size));
+        let command = self.command;
+        Ok(Recording::new(open, writer, command.rate, command.start_us).repeat(command.repeat))
+    }
+
+    fn device(&self) -> Result<Box<dyn Peripheral>> {
+        let recording = self.recording()?;
+        *self.sent.lock().unwrap_or_else(PoisonError::into_inner) = recording.sent();
+        let camera = self.model.camera(self.sensor, Box::new(recording));
+        camera.with_context(|| format!("{}: has no camera of this size", self.model.name()))
+    }
+
+    fn announce(&self, address: &str) {
+        let (name, file) = (self.model.name(), self.command.file.display());
+        eprintln!("{name} with {file} at {address}; Ctrl-C ends");
+    }
+
+    fn serve(
+        &self,
+        stop: &AtomicBool,
+        serve: impl FnOnce(&mut Service<'_>) -> Result<()>,
+    ) -> Result<()> {
+        // What does not fit the model is said before any host comes.
+        drop(self.device()?);
+        let mut failed = None;
+        serve(&mut Service {
+            device: &mut || self.device(),
+            stop,
+            once: self.command.once,
+            left: &mut |served| {
+                let sent = Arc::clone(&self.sent.lock().unwrap_or_else(PoisonError::into_inner));
+                let line = served
+                    .as_ref()
+                    .map_or_else(|error| format!("{error:#}"), line);
+                eprintln!("{line}");
+                if let Some(error) = sent.error() {
+                    eprintln!("the stream ended: {error}");
+                    failed = Some(error.to_owned());
+                }
+                if let Err(error) = self.print(&sent) {
+                    eprintln!("{error:#}");
+                }
+            },
+        })?;
+        match failed {
+            Some(error) if self.command.once => bail!(error),
+            _ => Ok(()),
+        }
+    }
+
+    fn print(&self, sent: &Sent) -> Result<()> {
+        // Of a stream that came at once, no rate is known.
+        let seconds = sent.elapsed().as_secs_f64();
+        let per_second = |count: u64| {
+            if seconds > 0.0 {
+                count as f64 / seconds
+            } else {
+                0.0
+            }
+        };
+        let first = sent.first_us();
+        let summary = Summary {
+            model: self.model.name(),
+            width: self.sensor.width,
+            height: self.sensor.height,
+            events: sent.events(),
+            bytes: sent.bytes(),
+            bytes_per_event: sent.bytes() as f64 / sent.events().max(1) as f64,
+            seconds,
+            events_per_s: per_second(sent.events()),
+            bytes_per_s: per_second(sent.bytes()),
+            rounds: sent.rounds(),
+            late_us: sent.late_us(),
+            first_us: first.map(|(recorded, _)| recorded),
+            first_device_us: first.map(|(_, device)| device),
+        };
+        if self.command.json {
+            return print_json(&summary);
+        }
+        let time = |t: Option<u64>| t.map_or_else(|| "none".to_owned(), |t| t.to_string());
+        print(&rows([
+            ("model", summary.model.to_owned()),
+            ("width", summary.width.to_string()),
+            ("height", summary.height.to_string()),
+            ("events", summary.events.to_string()),
+            ("bytes", summary.bytes.to_string()),
+            ("bytes_per_event", format!("{:.3}", summary.bytes_per_event)),
+            ("seconds", format!("{:.3}", summary.seconds)),
+            ("events_per_s", format!("{:.0}", summary.events_per_s)),
+            ("bytes_per_s", format!("{:.0}", summary.bytes_per_s)),
+            ("rounds", summary.rounds.to_string()),
+            ("late_us", summary.late_us.to_string()),
+            ("first_us", time(summary.first_us)),
+            ("first_device_us", time(summary.first_device_us)),
+        ]))
+    }
+}
+
+/// What was carried to a host that has left, in a line.
+fn line(report: &Report) -> String {
+    let Report {
+        traffic,
+        packets_odd,
+        is_rejected,
+    } = report;
+    let mut line = format!(
+        "the host has left: {} requests ({} refused), {} bytes to it in {} transfers, {} bytes from \
+         it, {} halts, {} transfers taken back",
+        traffic.requests,
+        traffic.requests_refused,
+        traffic.bytes_in,
+        traffic.transfers_in,
+        traffic.bytes_out,
+        traffic.stalled,
+        traffic.cancelled,
+    );
+    for (count, what) in [
+        (traffic.refused, "transfers refused"),
+        (
+            traffic.bytes_overflown,
+            "bytes lost: more than was asked for",
+        ),
+        (*packets_odd, "packets not understood"),
+        (u64::from(*is_rejected), "refusal by the host's filter"),
+    ] {
+        if count > 0 {
+            line += &format!(", {count} {what}");
+        }
+    }
+    line
+}
+
+/// A model's name.
+fn model(name: &str) -> Result<&'static str, String> {
+    let names = || MODELS.iter().map(|model| model.name());
+    names().find(|known| *known == name).ok_or_else(|| {
+        let known: Vec<_> = names().collect();
+        format!("no such model; there are: {}", known.join(", "))
+    })
+}

@@ -1,0 +1,194 @@
+//! DAVIS240 (Cypress FX2, High speed) and DAVIS346 (FX3, SuperSpeed): two models, one stream.
+//!
+//! Registers are those of [`inivation`](super::inivation). The sensor's size is read from the camera,
+//! so a simulated one may have any size up to its chip's, and says so. Only events are asked for:
+//! frames, inertial samples and external inputs stay off.
+
+mod biases;
+pub mod camera;
+pub mod parse;
+pub mod write;
+
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use eecvs_nostd::Sensor;
+
+use self::parse::DavisParser;
+use self::write::DavisWriter;
+use super::inivation::registers::{
+    APS_RUN, CHIP, DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN,
+    IMU_TEMPERATURE_RUN, INPUT_RUN, MUX_CHIP_RUN, MUX_DROP_EVENTS, MUX_DROP_INPUTS, MUX_RUN,
+    MUX_TIME_RUN, Register, USB_RUN, VENDOR, clear_all, read, write, write_all,
+};
+use super::inivation::system::{Versions, check_versions, sensor};
+use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
+use crate::link::control::Control;
+use crate::peripheral::{Peripheral, Speed};
+
+/// The DAVIS240, and others with its logic.
+pub static DAVIS240: Davis = Davis {
+    name: "davis240",
+    label: "DAVIS240",
+    identities: &[identity(0x841B)],
+    speed: Speed::High,
+    chip: 2,
+    sensor: Sensor {
+        width: 240,
+        height: 180,
+    },
+    versions: Versions {
+        firmware_min: 4,
+        patch_min: 1,
+    },
+};
+
+/// The DAVIS346.
+pub static DAVIS346: Davis = Davis {
+    name: "davis346",
+    label: "DAVIS346",
+    identities: &[identity(0x841A)],
+    speed: Speed::Super,
+    chip: 5,
+    sensor: Sensor {
+        width: 346,
+        height: 260,
+    },
+    versions: Versions {
+        firmware_min: 6,
+        patch_min: 1,
+    },
+};
+
+/// One of the DAVIS cameras.
+#[derive(Debug)]
+pub struct Davis {
+    name: &'static str,
+    label: &'static str,
+    identities: &'static [Identity],
+    speed: Speed,
+    /// Number of the chip that is simulated.
+    chip: u32,
+    /// Size of that chip.
+    sensor: Sensor,
+    versions: Versions,
+}
+
+const fn identity(product: u16) -> Identity {
+    Identity {
+        vendor: VENDOR,
+        product,
+        major: None,
+    }
+}
+
+/// What sends, from the sensor to the host: stopped in this order.
+const RUNS: [Register; 10] = [
+    DVS_RUN,
+    APS_RUN,
+    IMU_ACCELEROMETER_RUN,
+    IMU_GYROSCOPE_RUN,
+    IMU_TEMPERATURE_RUN,
+    INPUT_RUN,
+    MUX_RUN,
+    MUX_TIME_RUN,
+    USB_RUN,
+    MUX_CHIP_RUN,
+];
+
+/// Streams, by what the logic calls a row.
+const STREAM: &str = "davis";
+const STREAM_INVERTED: &str = "davis-transposed";
+
+/// Time in which the logic's buffers run empty.
+const EMPTY: Duration = Duration::from_millis(10);
+
+/// Time in which the sensor's biases settle.
+const SETTLE: Duration = Duration::from_millis(200);
+
+/// Time in which the way to the host becomes ready.
+const READY: Duration = Duration::from_millis(50);
+
+impl Davis {
+    const fn fits(&self, sensor: Sensor) -> bool {
+        sensor.width <= self.sensor.width && sensor.height <= self.sensor.height
+    }
+}
+
+impl Model for Davis {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn identities(&self) -> &'static [Identity] {
+        self.identities
+    }
+
+    fn streams(&self) -> &'static [&'static str] {
+        &[STREAM, STREAM_INVERTED]
+    }
+
+    fn transfers(&self) -> Transfers {
+        Transfers {
+            endpoint: ENDPOINT,
+            interface: 0,
+            count: 8,
+            bytes: 8192,
+            timeout: Duration::from_millis(100),
+        }
+    }
+
+    fn identify(&self, control: &mut dyn Control) -> Result<Info> {
+        let firmware = check_versions(&self.versions, control)?;
+        let (sensor, inverted) = sensor(control)?;
+        let chip = read(control, CHIP)?;
+        // It may run since another program crashed.
+        clear_all(control, &RUNS)?;
+        control.wait(EMPTY);
+        control.clear_halt(ENDPOINT).with_context(|| {
+            format!("{}: endpoint {ENDPOINT:#04x} cannot be cleared", self.name)
+        })?;
+        Ok(Info {
+            name: biases::chip_name(chip).map_or_else(|| self.label.into(), String::from),
+            serial: control.serial(),
+            firmware,
+            sensor,
+            stream: if inverted { STREAM_INVERTED } else { STREAM },
+        })
+    }
+
+    fn start(&self, info: &Info, control: &mut dyn Control) -> Result<()> {
+        write_all(control, biases::of(&info.name))?;
+        write(control, MUX_CHIP_RUN, 1)?;
+        control.wait(SETTLE);
+        let stream = [
+            (USB_RUN, 1),
+            (MUX_DROP_EVENTS, 1),
+            (MUX_DROP_INPUTS, 1),
+            (MUX_TIME_RUN, 1),
+            (MUX_RUN, 1),
+        ];
+        write_all(control, &stream)?;
+        control.wait(READY);
+        write(control, DVS_RUN, 1)
+    }
+
+    fn stop(&self, info: &Info, control: &mut dyn Control) -> Result<()> {
+        clear_all(control, &RUNS).with_context(|| format!("{} cannot be stopped", info.name))
+    }
+
+    fn parser(&self, info: &Info) -> Box<dyn Parse> {
+        let inverted = info.stream == STREAM_INVERTED;
+        Box::new(DavisParser::begin(info.sensor, inverted))
+    }
+
+    fn writer(&self, sensor: Sensor) -> Option<Box<dyn WriteStream>> {
+        let writer = || Box::new(DavisWriter::new(self.name, sensor)) as _;
+        self.fits(sensor).then(writer)
+    }
+
+    fn camera(&self, sensor: Sensor, stream: Box<dyn Stream>) -> Option<Box<dyn Peripheral>> {
+        let camera = || Box::new(camera::camera(self, sensor, stream)) as _;
+        self.fits(sensor).then(camera)
+    }
+}

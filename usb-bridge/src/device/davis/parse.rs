@@ -1,0 +1,104 @@
+//! Stream of the DAVIS cameras: words of 16 bits, of [`words16`](crate::device::inivation) and these.
+//!
+//! | bits 15..12 | bits 11..0 | meaning |
+//! |---|---|---|
+//! | 1 | y | row of what follows |
+//! | 2, 3 | x | an OFF, ON event in that row at the latest time |
+//! | 4 | sample | a pixel of a frame; a DAVIS240 sends each twice |
+//!
+//! An address outside of the sensor is counted and left out; the row before stays. After a loss
+//! nothing is an event until there was a time and, after it, a row.
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+
+use crate::device::inivation::parser::{Reader, State, WordParser};
+use crate::device::inivation::tally::Count;
+use crate::device::inivation::words16;
+
+/// Parser of a DAVIS's stream.
+pub type DavisParser = WordParser<Rows>;
+
+impl DavisParser {
+    /// A parser at the beginning of the stream of a camera whose events are in `sensor`; `inverted`
+    /// where its logic calls columns rows.
+    #[must_use]
+    pub fn begin(sensor: Sensor, inverted: bool) -> Self {
+        let (columns, rows) = if inverted {
+            (sensor.height, sensor.width)
+        } else {
+            (sensor.width, sensor.height)
+        };
+        let reader = Rows {
+            columns: columns.into(),
+            rows: rows.into(),
+            inverted,
+            row: NONE,
+        };
+        Self::new(reader, sensor, words16::TIME_BITS)
+    }
+}
+
+/// No row is known.
+const NONE: u32 = u32::MAX;
+
+/// Reads rows and their columns.
+#[derive(Debug)]
+pub struct Rows {
+    columns: u32,
+    rows: u32,
+    inverted: bool,
+    row: u32,
+}
+
+impl Reader for Rows {
+    const WORD: usize = 2;
+    const EVENTS: usize = 1;
+
+    #[inline(always)]
+    fn word(&mut self, word: u32, state: &mut State, events: &mut Vec<Event>) {
+        if word & u32::from(words16::TIME) != 0 {
+            return words16::time(word, state);
+        }
+        let data = word & 0xFFF;
+        match word >> 12 {
+            2 | 3 if data < self.columns && self.row != NONE => {
+                let (x, y) = if self.inverted {
+                    (self.row, data)
+                } else {
+                    (data, self.row)
+                };
+                events.push(Event {
+                    t_us: state.clock.now(),
+                    x: x as u16,
+                    y: y as u16,
+                    polarity: Polarity::from_bool(word & 0x1000 != 0),
+                });
+            }
+            1 if data < self.rows && state.clock.is_known() => {
+                self.row = data;
+                state.tally.add(Count::Rows);
+            }
+            _ => self.other(word, state),
+        }
+    }
+
+    fn forget(&mut self) {
+        self.row = NONE;
+    }
+}
+
+impl Rows {
+    #[cold]
+    fn other(&mut self, word: u32, state: &mut State) {
+        let data = word & 0xFFF;
+        match word >> 12 {
+            1 if data >= self.rows => state.strange(Count::RowsOutside),
+            1 => state.tally.add(Count::WithoutTime),
+            2 | 3 if data >= self.columns => state.strange(Count::ColumnsOutside),
+            2 | 3 if state.clock.is_known() => state.tally.add(Count::WithoutPlace),
+            2 | 3 => state.tally.add(Count::WithoutTime),
+            4 => state.tally.add(Count::Samples),
+            _ => words16::other(word, state),
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! Events as a DAVIS sends them: see [`super::parse`].
+//!
+//! A word of time where it changes, before it wraps as one word with their count, after it a row; a
+//! row again where it changes; a column for each event. So an event costs 2 to 6 bytes, and order and
+//! duplicates are kept.
+
+use anyhow::Result;
+use eecvs_nostd::{Event, Polarity, Sensor};
+
+use crate::device::WriteStream;
+use crate::device::inivation::words16;
+use crate::device::inivation::writer::{Order, Time16};
+
+/// Writer of a DAVIS's stream.
+#[derive(Debug)]
+pub struct DavisWriter {
+    order: Order,
+    time: Time16,
+    row: Option<u16>,
+}
+
+impl DavisWriter {
+    /// A writer of events of `sensor` for the model of this name.
+    #[must_use]
+    pub const fn new(model: &'static str, sensor: Sensor) -> Self {
+        Self {
+            order: Order::new(model, sensor),
+            time: Time16::new(),
+            row: None,
+        }
+    }
+}
+
+impl WriteStream for DavisWriter {
+    fn write(&mut self, events: &[Event], bytes: &mut Vec<u8>) -> Result<()> {
+        for event in events {
+            self.order.check(event)?;
+            if self.time.write(event.t_us, &self.order, bytes)? {
+                self.row = None;
+            }
+            if self.row.replace(event.y) != Some(event.y) {
+                bytes.extend((words16::ROW | event.y).to_le_bytes());
+            }
+            let code = match event.polarity {
+                Polarity::Off => words16::OFF,
+                Polarity::On => words16::ON,
+            };
+            bytes.extend((code | event.x).to_le_bytes());
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &mut Vec<u8>) -> Result<()> {
+        Ok(())
+    }
+}

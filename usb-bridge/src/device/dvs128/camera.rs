@@ -1,0 +1,86 @@
+//! A DVS128 that is simulated.
+
+use super::{
+    BIAS_BYTES, BIASES, ENDPOINT, MASTER, PRODUCT, RESET_PIXELS, RESET_TIME, START, STOP, VENDOR,
+};
+use crate::device::Stream;
+use crate::device::inivation::camera::Source;
+use crate::device::inivation::descriptors::{Endpoint, descriptors};
+use crate::link::control::Request;
+use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
+
+/// Firmware that it says it has.
+const RELEASE: u16 = 14;
+
+/// A DVS128 that sends what a [`Stream`] has, from start to stop.
+pub struct Dvs128Camera {
+    descriptors: Descriptors,
+    source: Source,
+    started: bool,
+}
+
+impl Dvs128Camera {
+    /// One that was just plugged in.
+    #[must_use]
+    pub fn new(stream: Box<dyn Stream>) -> Self {
+        Self {
+            descriptors: descriptors(
+                Speed::High,
+                (VENDOR, PRODUCT, RELEASE),
+                ["iniLabs", "DVS128", "00000001"],
+                &[Endpoint::bulk(ENDPOINT)],
+            ),
+            source: Source::new(stream),
+            started: false,
+        }
+    }
+}
+
+impl Peripheral for Dvs128Camera {
+    fn descriptors(&self) -> &Descriptors {
+        &self.descriptors
+    }
+
+    fn control(&mut self, request: Request, data: &[u8], _: usize) -> Reply {
+        if request.kind != Request::VENDOR_OUT {
+            return Reply::Stall;
+        }
+        let wanted = if request.request == BIASES {
+            BIAS_BYTES
+        } else {
+            0
+        };
+        if data.len() != wanted {
+            return Reply::Stall;
+        }
+        match request.request {
+            START => self.started = true,
+            STOP => self.started = false,
+            BIASES | RESET_TIME | RESET_PIXELS | MASTER => {}
+            _ => return Reply::Stall,
+        }
+        Reply::Data(Vec::new())
+    }
+
+    fn bulk_out(&mut self, _: u8, _: &[u8]) -> bool {
+        false
+    }
+
+    fn bulk_in(&mut self, endpoint: u8, room: usize, data: &mut Vec<u8>) -> Bulk {
+        if endpoint != ENDPOINT {
+            return Bulk::Stall;
+        }
+        self.source.send(self.started, room, data)
+    }
+
+    fn clear_halt(&mut self, endpoint: u8) {
+        if endpoint == ENDPOINT {
+            self.source.clear_halt();
+        }
+    }
+
+    fn reset(&mut self) {
+        self.started = false;
+        self.source.clear_halt();
+    }
+}

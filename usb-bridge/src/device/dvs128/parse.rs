@@ -1,0 +1,80 @@
+//! Stream of the DVS128: records of 4 bytes.
+//!
+//! | bytes | bits | |
+//! |---|---|---|
+//! | 0, 1 | 15 | external input, not an event |
+//! | | 14..8 | 127 - y |
+//! | | 7..1 | 127 - x |
+//! | | 0 | polarity, 0 = ON |
+//! | 2, 3 | 15 | wrap: + 2^14 us, the rest is not looked at |
+//! | | 14 | the counter is reset, the rest is not looked at |
+//! | | 13..0 | time in us |
+//!
+//! Every record has its time, so events come again with the first one after a loss. x and y are
+//! flipped as libcaer flips them: (0, 0) is the upper left.
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+
+use super::SENSOR;
+use crate::device::inivation::parser::{Reader, State, WordParser};
+use crate::device::inivation::tally::Count;
+
+/// Bits of time in a record.
+pub const TIME_BITS: u32 = 14;
+
+/// Parser of a DVS128's stream.
+pub type Dvs128Parser = WordParser<Records>;
+
+impl Dvs128Parser {
+    /// A parser at the beginning of a stream.
+    #[must_use]
+    pub fn begin() -> Self {
+        Self::new(Records, SENSOR, TIME_BITS)
+    }
+}
+
+/// Reads records: they stand alone.
+#[derive(Debug)]
+pub struct Records;
+
+impl Reader for Records {
+    const WORD: usize = 4;
+    const EVENTS: usize = 1;
+
+    #[inline(always)]
+    fn word(&mut self, word: u32, state: &mut State, events: &mut Vec<Event>) {
+        if word >> 30 != 0 {
+            return mark(word, state);
+        }
+        let low = u64::from(word >> 16);
+        if !state.clock.take(low) {
+            state.settle(low);
+        }
+        if word & 0x8000 != 0 {
+            return state.tally.add(Count::Inputs);
+        }
+        let Sensor { width, height } = SENSOR;
+        events.push(Event {
+            t_us: state.clock.now(),
+            x: (width - 1) - (word >> 1 & 0x7F) as u16,
+            y: (height - 1) - (word >> 8 & 0x7F) as u16,
+            polarity: Polarity::from_bool(word & 1 == 0),
+        });
+    }
+
+    fn forget(&mut self) {}
+}
+
+/// Takes a wrap or a reset.
+#[cold]
+fn mark(word: u32, state: &mut State) {
+    if word >> 31 != 0 {
+        state.clock.wrap(1);
+        state.tally.add(Count::Wraps);
+    } else {
+        // One comes when somebody asks for it; several in a row only from misaligned records.
+        state.strike();
+        state.clock.reset();
+        state.tally.add(Count::Resets);
+    }
+}

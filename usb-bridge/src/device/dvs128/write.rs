@@ -1,0 +1,55 @@
+//! Events as a DVS128 sends them: see [`super::parse`].
+
+use anyhow::Result;
+use eecvs_nostd::{Event, Polarity, Sensor};
+
+use super::SENSOR;
+use super::parse::TIME_BITS;
+use crate::device::WriteStream;
+use crate::device::inivation::writer::Order;
+
+/// A record that says that the counter wrapped.
+const WRAP: u32 = 1 << 31;
+
+/// Writer of a DVS128's stream.
+#[derive(Debug)]
+pub struct Dvs128Writer {
+    order: Order,
+    /// Periods so far.
+    periods: u64,
+}
+
+impl Dvs128Writer {
+    /// A writer of events of `sensor`, which are the chip's upper left.
+    #[must_use]
+    pub const fn new(sensor: Sensor) -> Self {
+        Self {
+            order: Order::new(super::NAME, sensor),
+            periods: 0,
+        }
+    }
+}
+
+impl WriteStream for Dvs128Writer {
+    fn write(&mut self, events: &[Event], bytes: &mut Vec<u8>) -> Result<()> {
+        for event in events {
+            self.order.check(event)?;
+            let periods = event.t_us >> TIME_BITS;
+            self.order.check_gap(periods - self.periods)?;
+            for _ in self.periods..periods {
+                bytes.extend(WRAP.to_le_bytes());
+            }
+            self.periods = periods;
+            let time = (event.t_us & ((1 << TIME_BITS) - 1)) as u32;
+            let x = u32::from(SENSOR.width - 1 - event.x);
+            let y = u32::from(SENSOR.height - 1 - event.y);
+            let off = u32::from(event.polarity == Polarity::Off);
+            bytes.extend((time << 16 | y << 8 | x << 1 | off).to_le_bytes());
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &mut Vec<u8>) -> Result<()> {
+        Ok(())
+    }
+}

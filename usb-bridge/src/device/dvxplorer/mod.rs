@@ -1,0 +1,190 @@
+//! DVXplorer (640 x 480) and DVXplorer Lite (320 x 240): Cypress FX3 with logic, SuperSpeed.
+//!
+//! Registers are those of [`inivation`](super::inivation); the sensor's own are module 5. The size is
+//! read from the camera: a simulated one may have any size up to 640 x 480, and is a Lite where it
+//! fits one. Only events are asked for. The variant whose sensor is behind MIPI has another stream:
+//! [`dvxplorer_mipi`](super::dvxplorer_mipi).
+
+pub mod camera;
+pub mod parse;
+mod sensor_registers;
+pub mod write;
+
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use eecvs_nostd::Sensor;
+
+use self::parse::DvxplorerParser;
+use self::sensor_registers::SENSOR_REGISTERS;
+use self::write::DvxplorerWriter;
+use super::inivation::registers::{
+    CHIP, DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN, IMU_TEMPERATURE_RUN,
+    INPUT_RUN, MUX_CHIP_RUN, MUX_DROP_EVENTS, MUX_DROP_INPUTS, MUX_RUN, MUX_TIME_RUN, Register,
+    USB_RUN, VENDOR, clear_all, read, write, write_all,
+};
+use super::inivation::system::{Versions, check_versions, sensor};
+use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
+use crate::link::control::Control;
+use crate::peripheral::Peripheral;
+
+/// Name of the model.
+pub const NAME: &str = "dvxplorer";
+
+/// Size of the sensor.
+pub const SENSOR: Sensor = Sensor {
+    width: 640,
+    height: 480,
+};
+
+/// Size of the Lite's sensor.
+pub const SENSOR_LITE: Sensor = Sensor {
+    width: 320,
+    height: 240,
+};
+
+/// The DVXplorer and DVXplorer Lite.
+pub struct Dvxplorer;
+
+/// USB product of every variant.
+pub(super) const PRODUCT: u16 = 0x8419;
+
+/// Numbers of the chips.
+pub(super) const CHIP_FULL: u32 = 20;
+pub(super) const CHIP_LITE: u32 = 21;
+
+/// Oldest versions whose stream is known.
+pub(super) const VERSIONS: Versions = Versions {
+    firmware_min: 8,
+    patch_min: 2,
+};
+
+/// The sensor's mode: 0 off, 2 streaming.
+pub(super) const SENSOR_MODE: Register = (5, 0x3000);
+pub(super) const MODE_STREAM: u32 = 2;
+
+/// Reset of the sensor's own time, which is 0 after a 1.
+pub(super) const SENSOR_TIME_RESET: Register = (5, 0x3238);
+
+/// What sends, from the sensor to the host: stopped in this order.
+const RUNS: [Register; 10] = [
+    SENSOR_MODE,
+    DVS_RUN,
+    IMU_ACCELEROMETER_RUN,
+    IMU_GYROSCOPE_RUN,
+    IMU_TEMPERATURE_RUN,
+    INPUT_RUN,
+    MUX_RUN,
+    MUX_TIME_RUN,
+    USB_RUN,
+    MUX_CHIP_RUN,
+];
+
+/// Streams, by what the logic calls a row.
+const STREAM: &str = "dvxplorer";
+const STREAM_INVERTED: &str = "dvxplorer-transposed";
+
+/// Time in which the logic's buffers run empty, or the sensor wakes.
+const SHORT: Duration = Duration::from_millis(10);
+
+/// Time in which the way to the host becomes ready.
+const READY: Duration = Duration::from_millis(50);
+
+/// Name for people, by the chip's number.
+pub(super) const fn label(chip: u32) -> &'static str {
+    match chip {
+        CHIP_LITE => "DVXplorer Lite",
+        _ => "DVXplorer",
+    }
+}
+
+/// Whether events of this sensor fit the larger chip.
+pub(super) const fn fits(sensor: Sensor) -> bool {
+    sensor.width <= SENSOR.width && sensor.height <= SENSOR.height
+}
+
+impl Model for Dvxplorer {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn identities(&self) -> &'static [Identity] {
+        &[Identity {
+            vendor: VENDOR,
+            product: PRODUCT,
+            major: None,
+        }]
+    }
+
+    fn streams(&self) -> &'static [&'static str] {
+        &[STREAM, STREAM_INVERTED]
+    }
+
+    fn transfers(&self) -> Transfers {
+        Transfers {
+            endpoint: ENDPOINT,
+            interface: 0,
+            count: 16,
+            bytes: 8192,
+            timeout: Duration::from_millis(100),
+        }
+    }
+
+    fn identify(&self, control: &mut dyn Control) -> Result<Info> {
+        let firmware = check_versions(&VERSIONS, control)?;
+        let (sensor, inverted) = sensor(control)?;
+        let chip = read(control, CHIP)?;
+        // It may run since another program crashed.
+        clear_all(control, &RUNS)?;
+        control.wait(SHORT);
+        control
+            .clear_halt(ENDPOINT)
+            .with_context(|| format!("{NAME}: endpoint {ENDPOINT:#04x} cannot be cleared"))?;
+        Ok(Info {
+            name: label(chip).into(),
+            serial: control.serial(),
+            firmware,
+            sensor,
+            stream: if inverted { STREAM_INVERTED } else { STREAM },
+        })
+    }
+
+    fn start(&self, _: &Info, control: &mut dyn Control) -> Result<()> {
+        write(control, MUX_CHIP_RUN, 1)?;
+        control.wait(SHORT);
+        write_all(control, &SENSOR_REGISTERS)?;
+        let stream = [
+            (MUX_DROP_INPUTS, 1),
+            (MUX_DROP_EVENTS, 0),
+            (USB_RUN, 1),
+            (MUX_TIME_RUN, 1),
+            (MUX_RUN, 1),
+        ];
+        write_all(control, &stream)?;
+        control.wait(READY);
+        let events = [
+            (DVS_RUN, 1),
+            (SENSOR_TIME_RESET, 1),
+            (SENSOR_TIME_RESET, 0),
+            (SENSOR_MODE, MODE_STREAM),
+        ];
+        write_all(control, &events)
+    }
+
+    fn stop(&self, info: &Info, control: &mut dyn Control) -> Result<()> {
+        clear_all(control, &RUNS).with_context(|| format!("{} cannot be stopped", info.name))
+    }
+
+    fn parser(&self, info: &Info) -> Box<dyn Parse> {
+        let inverted = info.stream == STREAM_INVERTED;
+        Box::new(DvxplorerParser::begin(info.sensor, inverted))
+    }
+
+    fn writer(&self, sensor: Sensor) -> Option<Box<dyn WriteStream>> {
+        fits(sensor).then(|| Box::new(DvxplorerWriter::new(sensor)) as _)
+    }
+
+    fn camera(&self, sensor: Sensor, stream: Box<dyn Stream>) -> Option<Box<dyn Peripheral>> {
+        fits(sensor).then(|| Box::new(camera::camera(sensor, stream)) as _)
+    }
+}

@@ -1,0 +1,124 @@
+//! DVXplorer with its sensor behind MIPI (DVXplorer Mini and others): Cypress CX3, SuperSpeed.
+//!
+//! It has the DVXplorer's identity with major number 4 in its release, its firmware configures the
+//! sensor, and there is no multiplexer: the sensor's mode alone starts and stops it.
+
+pub mod camera;
+pub mod parse;
+pub mod write;
+
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use eecvs_nostd::Sensor;
+
+use self::parse::MipiParser;
+use self::write::MipiWriter;
+use super::dvxplorer::{
+    MODE_STREAM, PRODUCT, SENSOR_MODE, SENSOR_TIME_RESET, VERSIONS, fits, label,
+};
+use super::inivation::registers::{
+    CHIP, DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN, IMU_TEMPERATURE_RUN,
+    Register, VENDOR, clear_all, read, write_all,
+};
+use super::inivation::system::{check_versions, sensor};
+use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
+use crate::link::control::Control;
+use crate::peripheral::Peripheral;
+
+/// Name of the model.
+pub const NAME: &str = "dvxplorer-mipi";
+
+/// The DVXplorer behind MIPI.
+pub struct DvxplorerMipi;
+
+/// Major number of its release.
+const MAJOR: u8 = 4;
+
+/// What sends: stopped in this order.
+const RUNS: [Register; 5] = [
+    SENSOR_MODE,
+    DVS_RUN,
+    IMU_ACCELEROMETER_RUN,
+    IMU_GYROSCOPE_RUN,
+    IMU_TEMPERATURE_RUN,
+];
+
+/// Restart of the sensor's counter of time.
+const SENSOR_RESTART: Register = (5, 0x3201);
+
+/// Time in which the buffers run empty.
+const EMPTY: Duration = Duration::from_millis(10);
+
+impl Model for DvxplorerMipi {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn identities(&self) -> &'static [Identity] {
+        &[Identity {
+            vendor: VENDOR,
+            product: PRODUCT,
+            major: Some(MAJOR),
+        }]
+    }
+
+    fn streams(&self) -> &'static [&'static str] {
+        &[NAME]
+    }
+
+    fn transfers(&self) -> Transfers {
+        Transfers {
+            endpoint: ENDPOINT,
+            interface: 0,
+            count: 16,
+            bytes: 8192,
+            timeout: Duration::from_millis(100),
+        }
+    }
+
+    fn identify(&self, control: &mut dyn Control) -> Result<Info> {
+        let firmware = check_versions(&VERSIONS, control)?;
+        let (sensor, _) = sensor(control)?;
+        let chip = read(control, CHIP)?;
+        // It may run since another program crashed.
+        clear_all(control, &RUNS)?;
+        control.wait(EMPTY);
+        control
+            .clear_halt(ENDPOINT)
+            .with_context(|| format!("{NAME}: endpoint {ENDPOINT:#04x} cannot be cleared"))?;
+        Ok(Info {
+            name: format!("{} MIPI", label(chip)),
+            serial: control.serial(),
+            firmware,
+            sensor,
+            stream: NAME,
+        })
+    }
+
+    fn start(&self, _: &Info, control: &mut dyn Control) -> Result<()> {
+        let events = [
+            (SENSOR_RESTART, 2),
+            (SENSOR_TIME_RESET, 1),
+            (SENSOR_TIME_RESET, 0),
+            (SENSOR_MODE, MODE_STREAM),
+        ];
+        write_all(control, &events)
+    }
+
+    fn stop(&self, info: &Info, control: &mut dyn Control) -> Result<()> {
+        clear_all(control, &RUNS).with_context(|| format!("{} cannot be stopped", info.name))
+    }
+
+    fn parser(&self, info: &Info) -> Box<dyn Parse> {
+        Box::new(MipiParser::begin(info.sensor))
+    }
+
+    fn writer(&self, sensor: Sensor) -> Option<Box<dyn WriteStream>> {
+        fits(sensor).then(|| Box::new(MipiWriter::new(sensor)) as _)
+    }
+
+    fn camera(&self, sensor: Sensor, stream: Box<dyn Stream>) -> Option<Box<dyn Peripheral>> {
+        fits(sensor).then(|| Box::new(camera::camera(sensor, stream)) as _)
+    }
+}

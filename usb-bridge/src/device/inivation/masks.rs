@@ -1,0 +1,48 @@
+//! Events of one column as masks of 8 pixels, in their order.
+
+use eecvs_nostd::{Event, Polarity};
+
+/// Events of one time, column and polarity in a group of 8 rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Mask {
+    /// Rows 8 * group to 8 * group + 7.
+    pub group: u16,
+    /// Bit i is row 8 * group + i.
+    pub bits: u8,
+    /// 1 where the events are OFF.
+    pub off: u16,
+}
+
+impl Mask {
+    /// The mask of the first events, and how many they are: those that stand in the order in which a
+    /// mask is read, so that order and duplicates survive. `None` without any.
+    pub fn first(events: &[Event]) -> Option<(Self, usize)> {
+        let first = events.first()?;
+        let group = first.y / 8;
+        let mut bits = 0;
+        let mut count = 0;
+        let belongs = |event: &&Event| {
+            (event.t_us, event.x, event.polarity) == (first.t_us, first.x, first.polarity)
+                && event.y / 8 == group
+        };
+        for event in events.iter().take_while(belongs) {
+            let bit = 1_u8 << (event.y % 8);
+            if bits >= bit {
+                break;
+            }
+            bits |= bit;
+            count += 1;
+        }
+        let off = u16::from(first.polarity == Polarity::Off);
+        Some((Self { group, bits, off }, count))
+    }
+
+    /// The mask that follows in the same column at the same time, as [`Mask::first`].
+    pub fn next(events: &[Event], taken: usize) -> Option<(Self, usize)> {
+        let (first, rest) = (events.first()?, events.get(taken..)?);
+        let same = rest
+            .first()
+            .is_some_and(|event| (event.t_us, event.x) == (first.t_us, first.x));
+        if same { Self::first(rest) } else { None }
+    }
+}

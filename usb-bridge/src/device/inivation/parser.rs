@@ -1,0 +1,208 @@
+//! A stream of words, cut anywhere: whole words to the model's reader, the rest kept.
+
+use eecvs_nostd::{Event, Sensor};
+use host_harness::formats::Skipped;
+
+use super::clock::{Clock, Settled};
+use super::strikes::Strikes;
+use super::tally::{Count, Tally};
+use crate::device::Parse;
+
+/// Bytes for which room is reserved at once.
+const BLOCK_BYTES: usize = 4096;
+
+/// Bytes of the longest word.
+const WORD_MAX: usize = 4;
+
+/// How a model reads its words.
+pub trait Reader: Send {
+    /// Bytes of a word: 2 or 4.
+    const WORD: usize;
+
+    /// Events of a word, at the most.
+    const EVENTS: usize;
+
+    /// Ticks of the device's counter, in microseconds.
+    const TICK_US: u64 = 1;
+
+    /// Takes a word. Each is counted once: as an event's, by name, or as lost.
+    fn word(&mut self, word: u32, state: &mut State, events: &mut Vec<Event>);
+
+    /// Forgets row and column.
+    fn forget(&mut self);
+
+    /// Time of the stream so far, in microseconds.
+    fn time_us(&self, clock: &Clock) -> Option<u64> {
+        clock.time()
+    }
+}
+
+/// What every model keeps of its stream.
+#[derive(Debug)]
+pub struct State {
+    /// The device's time.
+    pub clock: Clock,
+    /// Words by name.
+    pub tally: Tally,
+    strikes: Strikes,
+    /// Words so far.
+    words: u64,
+    /// The clock to go on with after one byte is left out.
+    realign: Option<Clock>,
+}
+
+impl State {
+    /// Counts a word that the device does not send at this place; the clock is as before it.
+    #[cold]
+    pub fn strange(&mut self, count: Count) {
+        self.tally.add(count);
+        self.strike();
+    }
+
+    /// Takes a low part of time that the clock had a question about.
+    #[cold]
+    pub fn settle(&mut self, low: u64) {
+        if self.clock.runs_back(low) {
+            self.strike();
+        }
+        match self.clock.settle(low) {
+            Settled::Found => {}
+            Settled::Wrapped => self.tally.add(Count::WrapsMissing),
+            Settled::Back => self.tally.add(Count::TimesBack),
+        }
+    }
+
+    /// The latest word is strange; the clock is as before it.
+    #[cold]
+    pub fn strike(&mut self) {
+        let found = self.strikes.add(self.words, &self.clock);
+        self.realign = self.realign.or(found);
+    }
+}
+
+/// A parser of words that `R` reads.
+#[derive(Debug)]
+pub struct WordParser<R> {
+    reader: R,
+    state: State,
+    sensor: Sensor,
+    events: u64,
+    kept: [u8; WORD_MAX],
+    kept_bytes: usize,
+}
+
+impl<R: Reader> WordParser<R> {
+    /// A parser at the beginning of a stream whose counter has `bits` bits.
+    #[must_use]
+    pub fn new(reader: R, sensor: Sensor, bits: u32) -> Self {
+        let clock = Clock::new(bits);
+        Self {
+            reader,
+            state: State {
+                clock,
+                tally: Tally::new(),
+                strikes: Strikes::new(clock),
+                words: 0,
+                realign: None,
+            },
+            sensor,
+            events: 0,
+            kept: [0; WORD_MAX],
+            kept_bytes: 0,
+        }
+    }
+
+    /// Whole words so far, and those that are counted by name or as lost. For a model whose events
+    /// have words of their own the difference is the events; for one with masks there is none.
+    #[must_use]
+    pub fn accounts(&self) -> (u64, u64) {
+        (self.state.words, self.state.tally.all_words())
+    }
+
+    /// Reads whole words; returns the bytes read, fewer where the words were found misaligned.
+    fn read(&mut self, bytes: &[u8], events: &mut Vec<Event>) -> usize {
+        events.reserve(bytes.len() / R::WORD * R::EVENTS);
+        let mut read = 0;
+        for word in bytes.chunks_exact(R::WORD) {
+            let word = match R::WORD {
+                2 => u32::from(u16::from_le_bytes([word[0], word[1]])),
+                _ => u32::from_le_bytes([word[0], word[1], word[2], word[3]]),
+            };
+            self.reader.word(word, &mut self.state, events);
+            self.state.words += 1;
+            read += R::WORD;
+            if self.state.realign.is_some() {
+                break;
+            }
+        }
+        read
+    }
+
+    /// Adds to the word that is kept; returns the bytes it took.
+    fn fill(&mut self, bytes: &[u8]) -> usize {
+        let taken = bytes.len().min(R::WORD - self.kept_bytes);
+        self.kept[self.kept_bytes..][..taken].copy_from_slice(&bytes[..taken]);
+        self.kept_bytes += taken;
+        taken
+    }
+}
+
+impl<R: Reader> Parse for WordParser<R> {
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn parse(&mut self, mut bytes: &[u8], events: &mut Vec<Event>) {
+        let before = events.len();
+        while !bytes.is_empty() {
+            let used = if let Some(clock) = self.state.realign.take() {
+                self.state.clock = clock;
+                self.state.clock.lose(None);
+                self.reader.forget();
+                self.state.tally.add(Count::BytesMisaligned);
+                1
+            } else if self.kept_bytes > 0 || bytes.len() < R::WORD {
+                let taken = self.fill(bytes);
+                if self.kept_bytes == R::WORD {
+                    self.kept_bytes = 0;
+                    let word = self.kept;
+                    self.read(&word[..R::WORD], events);
+                }
+                taken
+            } else {
+                let whole = bytes.len().min(BLOCK_BYTES) / R::WORD * R::WORD;
+                self.read(&bytes[..whole], events)
+            };
+            bytes = &bytes[used..];
+        }
+        self.events += (events.len() - before) as u64;
+    }
+
+    fn resume(&mut self, now_us: Option<u64>) {
+        let state = &mut self.state;
+        state
+            .tally
+            .add_many(Count::BytesIncomplete, self.kept_bytes as u64);
+        self.kept_bytes = 0;
+        state.realign = None;
+        state.clock.lose(now_us.map(|now| now / R::TICK_US));
+        state.strikes = Strikes::new(state.clock);
+        self.reader.forget();
+    }
+
+    fn time_us(&self) -> Option<u64> {
+        self.reader.time_us(&self.state.clock)
+    }
+
+    fn events(&self) -> u64 {
+        self.events
+    }
+
+    fn words(&self) -> Skipped {
+        self.state.tally.words()
+    }
+
+    fn losses(&self) -> Skipped {
+        self.state.tally.losses()
+    }
+}

@@ -1,0 +1,252 @@
+//! A simulated camera: it answers what a host asks through Treuzell, keeps what its registers are set to, and
+//! streams while they let it.
+
+use std::collections::HashMap;
+
+use super::parse_evt21::Order;
+use super::registers::{CHIP, FORMAT, FORMAT_EVT21, PIXELS_GO, READOUT, TIME_BASE};
+use super::sensor::{Chip, STREAMER};
+use super::treuzell::{
+    BUILD_DATE, COMPATIBLE, DEVICES, FAILED, FRAME_BYTES_MAX, IN, NAME, OUT, REGISTERS, RELEASE,
+    SERIAL, STREAM, WRITE, frame, number, parse, payload,
+};
+use super::{Format, KIND_REQUEST, STREAM_IN};
+use crate::device::{Due, Identity, Stream};
+use crate::link::control::Request;
+use crate::peripheral::descriptors::{Device, Endpoint, Interface};
+use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
+
+/// Release of the firmware that it has: 3.9.0.
+const FIRMWARE: u32 = 0x0003_0900;
+/// Date of its build.
+const BUILT: u64 = 1_700_000_000;
+const SERIAL_NUMBER: u64 = 0x0005_0567;
+/// Registers that are kept: the known ones are fewer.
+const KEPT_MAX: usize = 4096;
+/// Answers that wait to be fetched.
+const ANSWERS_BYTES_MAX: usize = 16 * FRAME_BYTES_MAX;
+/// Numbers of errors, the system's.
+const INVALID: u32 = 22;
+const NO_DEVICE: u32 = 19;
+const NO_MEMORY: u32 = 12;
+
+/// A simulated camera.
+pub struct TreuzellCamera {
+    descriptors: Descriptors,
+    chip: Chip,
+    registers: HashMap<u32, u32>,
+    /// Whether the streamer does, where the board has one.
+    is_streaming: bool,
+    answers: std::collections::VecDeque<Vec<u8>>,
+    stream: Box<dyn Stream>,
+    /// The recording has ended, or cannot be read.
+    has_ended: bool,
+    is_halted: bool,
+}
+
+impl TreuzellCamera {
+    /// A camera with this sensor that sends `stream`, which is in this format.
+    #[must_use]
+    pub fn new(identity: Identity, chip: Chip, format: Format, stream: Box<dyn Stream>) -> Self {
+        let is_evk2 = chip == Chip::Evk2Imx636;
+        let serial = format!("{SERIAL_NUMBER:08}");
+        let product = match chip {
+            Chip::Imx636 | Chip::Imx646 => "EVK4",
+            Chip::Gen41 | Chip::Genx320 => "EVK3",
+            Chip::Evk2Imx636 => "EVKv2",
+        };
+        // In the order in which drivers look for them.
+        let endpoints = [IN, OUT, STREAM_IN].map(Endpoint::bulk);
+        let interface = Interface {
+            class: [0xFF, 0x19, 0],
+            ..Interface::vendor(0, &endpoints)
+        };
+        let descriptors = Device {
+            speed: Speed::Super,
+            vendor: identity.vendor,
+            product: identity.product,
+            release: 0x0309,
+            names: ["Prophesee", product, if is_evk2 { "" } else { &serial }],
+            interfaces: &[interface],
+            ..Device::default()
+        }
+        .describe();
+        let mut camera = Self {
+            descriptors,
+            chip,
+            registers: HashMap::new(),
+            is_streaming: false,
+            answers: std::collections::VecDeque::new(),
+            stream,
+            has_ended: false,
+            is_halted: false,
+        };
+        camera.registers.insert(chip.base() + CHIP, chip.number());
+        camera.registers.insert(chip.base() + READOUT, 2);
+        if format == Format::Evt21(Order::UpperFirst) {
+            let format = chip.base() + FORMAT;
+            camera.registers.insert(format, FORMAT_EVT21);
+        }
+        camera
+    }
+
+    fn register(&self, address: u32) -> u32 {
+        let value = self.registers.get(&address);
+        value.copied().unwrap_or(0)
+    }
+
+    /// Whether events come: the readout, the clock and the pixels go, and what sends them on.
+    #[must_use]
+    pub fn is_started(&self) -> bool {
+        let at = |address| self.register(self.chip.base() + address);
+        at(READOUT) & 2 == 0
+            && at(TIME_BASE) & 1 != 0
+            && at(self.chip.pixels()) & PIXELS_GO != 0
+            && (self.is_streaming || !self.chip.has_streamer())
+    }
+
+    /// Devices: the sensor's is the last.
+    const fn devices(&self) -> u32 {
+        1 + self.chip.has_streamer() as u32
+    }
+
+    fn answer(&mut self, question: &[u8]) -> Vec<u8> {
+        let Some((property, content)) = parse(question) else {
+            return frame(FAILED, &[]);
+        };
+        let device = number(content, 0).unwrap_or(0);
+        let failed = |mut numbers: Vec<u32>, why| {
+            numbers.push(why);
+            frame(property | FAILED, &payload(&numbers))
+        };
+        let is_device = device < self.devices();
+        let is_sensor = device + 1 == self.devices();
+        match property {
+            RELEASE => frame(property, &payload(&[FIRMWARE])),
+            BUILD_DATE => frame(property, &BUILT.to_le_bytes()),
+            SERIAL => frame(property, &SERIAL_NUMBER.to_le_bytes()),
+            DEVICES => frame(property, &payload(&[self.devices()])),
+            NAME | COMPATIBLE if content.len() < 4 || !is_device => failed(vec![device], NO_DEVICE),
+            NAME | COMPATIBLE => {
+                let text = match (is_sensor, property) {
+                    (false, _) => STREAMER,
+                    (true, NAME) => "CCam5 event-based camera",
+                    (true, _) => self.chip.compatible(),
+                };
+                let mut content = device.to_le_bytes().to_vec();
+                content.extend(text.bytes());
+                content.push(0);
+                frame(property, &content)
+            }
+            REGISTERS => {
+                let address = number(content, 1).unwrap_or(0);
+                match number(content, 2) {
+                    Some(count) if is_sensor && count as usize <= FRAME_BYTES_MAX / 4 - 4 => {
+                        let mut numbers = vec![device, address];
+                        let addresses = (0..count).map(|at| address.wrapping_add(4 * at));
+                        numbers.extend(addresses.map(|address| self.register(address)));
+                        frame(property, &payload(&numbers))
+                    }
+                    Some(_) if !is_sensor => failed(vec![device, address], NO_DEVICE),
+                    _ => failed(vec![device, address], INVALID),
+                }
+            }
+            _ if property == REGISTERS | WRITE => {
+                let address = number(content, 1).unwrap_or(0);
+                let values = content.as_chunks::<4>().0.get(2..).unwrap_or_default();
+                if !is_sensor || values.is_empty() {
+                    return failed(vec![device, address], INVALID);
+                }
+                for (index, value) in (0..).zip(values) {
+                    let address = address.wrapping_add(4 * index);
+                    // The chip's number stays what it is.
+                    if address == self.chip.base() + CHIP {
+                        continue;
+                    }
+                    let is_new = !self.registers.contains_key(&address);
+                    if is_new && self.registers.len() >= KEPT_MAX {
+                        return failed(vec![device, address], NO_MEMORY);
+                    }
+                    self.registers.insert(address, u32::from_le_bytes(*value));
+                }
+                frame(property, &payload(&[device, address]))
+            }
+            _ if property == STREAM | WRITE && !is_sensor && is_device => {
+                let on = number(content, 1).unwrap_or(0);
+                self.is_streaming = on != 0;
+                frame(property, &payload(&[device, on]))
+            }
+            STREAM if !is_sensor && is_device => {
+                frame(property, &payload(&[device, self.is_streaming.into()]))
+            }
+            _ => frame(FAILED, &[]),
+        }
+    }
+}
+
+impl Peripheral for TreuzellCamera {
+    fn descriptors(&self) -> &Descriptors {
+        &self.descriptors
+    }
+
+    fn control(&mut self, request: Request, _: &[u8], length: usize) -> Reply {
+        let is_kind = request.kind == Request::VENDOR_IN && request.request == KIND_REQUEST;
+        match self.chip.kind() {
+            Some(kind) if is_kind => Reply::Data([kind, 0][..length.min(2)].to_vec()),
+            _ => Reply::Stall,
+        }
+    }
+
+    fn bulk_out(&mut self, endpoint: u8, data: &[u8]) -> bool {
+        if endpoint != OUT {
+            return false;
+        }
+        let waiting: usize = self.answers.iter().map(Vec::len).sum();
+        if waiting < ANSWERS_BYTES_MAX {
+            let answer = self.answer(data);
+            self.answers.push_back(answer);
+        }
+        true
+    }
+
+    fn bulk_in(&mut self, endpoint: u8, room: usize, data: &mut Vec<u8>) -> Bulk {
+        match endpoint {
+            IN => match self.answers.pop_front() {
+                Some(mut answer) => {
+                    answer.truncate(room);
+                    data.extend(answer);
+                    Bulk::Data
+                }
+                None => Bulk::Wait,
+            },
+            STREAM_IN if self.is_halted => Bulk::Stall,
+            STREAM_IN if self.has_ended || !self.is_started() => Bulk::Wait,
+            STREAM_IN => {
+                let before = data.len();
+                match self.stream.take(room, data) {
+                    Ok(Due::More) => {}
+                    Ok(Due::Ended) => self.has_ended = true,
+                    Err(_) => {
+                        self.is_halted = true;
+                        return Bulk::Stall;
+                    }
+                }
+                if data.len() == before {
+                    Bulk::Wait
+                } else {
+                    Bulk::Data
+                }
+            }
+            _ => Bulk::Stall,
+        }
+    }
+
+    fn clear_halt(&mut self, _: u8) {}
+
+    fn reset(&mut self) {
+        self.answers.clear();
+        // A new host finds a camera that is silent.
+        self.registers.insert(self.chip.base() + READOUT, 2);
+        self.is_streaming = false;
+    }
+}

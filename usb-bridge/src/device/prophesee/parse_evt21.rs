@@ -1,0 +1,253 @@
+//! EVT 2.1 as it comes from a camera: words of 64 bits with up to 32 events each.
+//!
+//! | bits | of 0 `EVT_NEG` and 1 `EVT_POS` | of 8 `EVT_TIME_HIGH` |
+//! |---|---|---|
+//! | 63..60 | type | type |
+//! | 59..54 | time bits 5..0 | time bits 33..6 in 59..32 |
+//! | 53..43, 42..32 | first x, y | |
+//! | 31..0 | bit i: an event at x + i | unused |
+//!
+//! Other types: A `EXT_TRIGGER`, E `OTHERS`, F `CONTINUED`. [`Order`] tells how a word's bytes come.
+//! The wraps of time, every 4.8 hours, are those of `high_time.rs`. After a break events come again with the
+//! next `EVT_TIME_HIGH`.
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+use host_harness::formats::Skipped;
+
+use super::high_time::HighTime;
+use crate::device::Parse;
+
+pub(super) const TIME_HIGH: u64 = 8;
+/// Bits of a `EVT_TIME_HIGH`.
+pub(super) const HIGH_BITS: u32 = 28;
+/// Time bits of a word with events.
+pub(super) const LOW_BITS: u32 = 6;
+pub(super) const TYPE_SHIFT: u32 = 60;
+pub(super) const TIME_SHIFT: u32 = 54;
+pub(super) const X_SHIFT: u32 = 43;
+pub(super) const Y_SHIFT: u32 = 32;
+const SIDE: u64 = 0x7ff;
+
+/// How the eight bytes of a word come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// The upper half first, each half little-endian: IMX636 and Gen 4.1.
+    UpperFirst,
+    /// The whole word little-endian: GenX320.
+    Little,
+}
+
+impl Order {
+    /// A word from its bytes.
+    #[inline]
+    pub(super) const fn word(self, bytes: [u8; 8]) -> u64 {
+        let word = u64::from_le_bytes(bytes);
+        match self {
+            Self::UpperFirst => word.rotate_left(32),
+            Self::Little => word,
+        }
+    }
+
+    /// The bytes of a word.
+    pub(super) const fn bytes(self, word: u64) -> [u8; 8] {
+        match self {
+            Self::UpperFirst => word.rotate_left(32),
+            Self::Little => word,
+        }
+        .to_le_bytes()
+    }
+}
+
+/// Parser of EVT 2.1.
+pub struct Evt21Parser {
+    sensor: Sensor,
+    order: Order,
+    /// Bytes of a word that has not come whole, the first `begun` of them.
+    part: [u8; 8],
+    begun: usize,
+    high: HighTime<HIGH_BITS>,
+    /// Upper time in microseconds, while there is one.
+    high_us: Option<u64>,
+    latest_us: Option<u64>,
+    events: u64,
+    times: u64,
+    with_events: u64,
+    words: Skipped,
+    losses: Skipped,
+}
+
+impl Evt21Parser {
+    /// At the start of a stream of a camera with this sensor.
+    #[must_use]
+    pub fn new(sensor: Sensor, order: Order) -> Self {
+        Self {
+            sensor,
+            order,
+            part: [0; 8],
+            begun: 0,
+            high: HighTime::new(),
+            high_us: None,
+            latest_us: None,
+            events: 0,
+            times: 0,
+            with_events: 0,
+            words: Skipped::default(),
+            losses: Skipped::default(),
+        }
+    }
+
+    /// Words so far, whatever they were: those of [`Parse::words`], those with events, and the unknown
+    /// ones.
+    #[must_use]
+    pub fn words_seen(&self) -> u64 {
+        let named = self.words().iter().map(|(_, count)| count).sum::<u64>();
+        let unknown = self.losses.iter().find(|(name, _)| *name == UNKNOWN);
+        named + self.with_events + unknown.map_or(0, |(_, count)| count)
+    }
+
+    fn take(&mut self, words: &[[u8; 8]], events: &mut Vec<Event>) {
+        let before = events.len();
+        let Sensor { width, height } = self.sensor;
+        let (mut with_events, mut latest_us) = (0, self.latest_us);
+        for word in words {
+            let word = self.order.word(*word);
+            let kind = word >> TYPE_SHIFT;
+            if kind > 1 {
+                self.other(word);
+                continue;
+            }
+            let columns = word as u32;
+            let x = (word >> X_SHIFT & SIDE) as u16;
+            let y = (word >> Y_SHIFT & SIDE) as u16;
+            // Of no events 0, which any column holds.
+            let last = u32::from(x) + (columns | 1).ilog2();
+            let (Some(high_us), true, true) = (
+                self.high_us,
+                last < u32::from(width) && y < height,
+                columns != 0,
+            ) else {
+                self.lossy(word, events);
+                continue;
+            };
+            let t_us = high_us | word >> TIME_SHIFT & ((1 << LOW_BITS) - 1);
+            let polarity = Polarity::from_bool(kind == 1);
+            latest_us = Some(t_us);
+            with_events += 1;
+            let mut left = columns;
+            loop {
+                events.push(Event {
+                    t_us,
+                    x: x + left.trailing_zeros() as u16,
+                    y,
+                    polarity,
+                });
+                left &= left - 1;
+                if left == 0 {
+                    break;
+                }
+            }
+        }
+        self.with_events += with_events;
+        self.latest_us = latest_us.max(self.high_us);
+        self.events += (events.len() - before) as u64;
+    }
+
+    /// A word with events of which some, or all, have no time or no pixel; or with none.
+    #[cold]
+    fn lossy(&mut self, word: u64, events: &mut Vec<Event>) {
+        let columns = word as u32;
+        if columns == 0 {
+            self.words.add("empty vectors", 1);
+            return;
+        }
+        self.with_events += 1;
+        let Some(high_us) = self.high_us else {
+            let count = u64::from(columns.count_ones());
+            self.losses.add("events before the first time", count);
+            return;
+        };
+        let y = (word >> Y_SHIFT & SIDE) as u16;
+        let mut left = columns;
+        while left != 0 {
+            // At most 2047 + 31.
+            let x = (word >> X_SHIFT & SIDE) as u16 + left.trailing_zeros() as u16;
+            left &= left - 1;
+            if self.sensor.contains(x, y) {
+                events.push(Event {
+                    t_us: high_us | word >> TIME_SHIFT & ((1 << LOW_BITS) - 1),
+                    x,
+                    y,
+                    polarity: Polarity::from_bool(word >> TYPE_SHIFT == 1),
+                });
+            } else {
+                self.losses.add("events outside of the sensor", 1);
+            }
+        }
+    }
+
+    fn other(&mut self, word: u64) {
+        match word >> TYPE_SHIFT {
+            TIME_HIGH => {
+                self.times += 1;
+                let high = word >> Y_SHIFT & ((1 << HIGH_BITS) - 1);
+                self.high_us = Some(self.high.extend(high) << LOW_BITS);
+            }
+            0xa => self.words.add("triggers", 1),
+            0xe => self.words.add("other words", 1),
+            0xf => self.words.add("continued words", 1),
+            _ => self.losses.add(UNKNOWN, 1),
+        }
+    }
+}
+
+const UNKNOWN: &str = "unknown words";
+
+impl Parse for Evt21Parser {
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn parse(&mut self, bytes: &[u8], events: &mut Vec<Event>) {
+        let mut bytes = bytes;
+        if self.begun > 0 {
+            let (now, later) = bytes.split_at(bytes.len().min(8 - self.begun));
+            self.part[self.begun..][..now.len()].copy_from_slice(now);
+            self.begun += now.len();
+            bytes = later;
+            if self.begun < 8 {
+                return;
+            }
+            self.begun = 0;
+            self.take(&[self.part], events);
+        }
+        let (words, rest) = bytes.as_chunks();
+        self.take(words, events);
+        self.part[..rest.len()].copy_from_slice(rest);
+        self.begun = rest.len();
+    }
+
+    fn resume(&mut self, now_us: Option<u64>) {
+        let lost = std::mem::take(&mut self.begun) as u64;
+        self.losses.add("bytes of an incomplete word", lost);
+        self.high.resume(now_us.map(|now_us| now_us >> LOW_BITS));
+        self.high_us = None;
+    }
+
+    fn time_us(&self) -> Option<u64> {
+        self.latest_us
+    }
+
+    fn events(&self) -> u64 {
+        self.events
+    }
+
+    fn words(&self) -> Skipped {
+        let mut words = self.words.clone();
+        words.add("times, upper bits", self.times);
+        words
+    }
+
+    fn losses(&self) -> Skipped {
+        self.losses.clone()
+    }
+}

@@ -1,0 +1,408 @@
+//! EVT 3.0 as it comes from a camera: words of 16 bits, little-endian, the type in the upper four.
+//!
+//! `host_harness::formats::evt3` has the layout. A file's reader stops at a word outside of the
+//! sensor; a camera's counts it and goes on. Time is that of the file's reader but for its wraps,
+//! which `high_time.rs` carries, so that no damaged word moves them. After a break events come
+//! again once `TIME_HIGH`, `TIME_LOW` and `ADDR_Y` have.
+//!
+//! Most words come in groups: perhaps a repeated `TIME_HIGH`, perhaps a `TIME_LOW`, perhaps an `ADDR_Y`,
+//! and an `ADDR_X`. Which of the three are there cannot be predicted, so a group of any shape is taken in one
+//! step without a branch on it (`Evt3Parser::run`).
+
+use std::hint::select_unpredictable as pick;
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+use host_harness::formats::Skipped;
+use host_harness::formats::evt3::{
+    ADDR_X, ADDR_Y, TIME_BITS, TIME_HIGH, TIME_LOW, VECT_8, VECT_12, VECT_BASE_X,
+};
+
+use super::high_time::HighTime;
+use crate::device::Parse;
+
+/// Columns of the longest vector.
+const VECTOR: u16 = 12;
+/// Room for the events of a run.
+const ROOM: usize = 512;
+/// Events of a run that leave room for a vector.
+const ROOM_USED_MAX: usize = ROOM - 16;
+
+/// A row, a lower time or a first column that has not come: above all that can.
+const NONE: u16 = 0xf000;
+/// The first column of a vector that begins beyond the last one of any sensor.
+const OVER: u16 = NONE + 1;
+const COLUMN: u16 = 0x7ff;
+const ON: u16 = 0x800;
+const TIME: u16 = 0xfff;
+/// A column that no sensor has.
+const BEYOND: u32 = 1 << 16;
+
+/// Words that are counted and no more, and their types.
+const COUNTED: [&str; 4] = ["continued words", "other words", "triggers", "padding"];
+
+/// Which of [`COUNTED`] a type is.
+const fn counted(kind: u16) -> Option<usize> {
+    match kind {
+        0x7 | 0xf => Some(0),
+        0xe => Some(1),
+        0xa => Some(2),
+        0x9 => Some(3),
+        _ => None,
+    }
+}
+
+const UNKNOWN: &str = "unknown words";
+
+/// Parser of EVT 3.0.
+pub struct Evt3Parser {
+    sensor: Sensor,
+    /// First byte of a word whose second has not come.
+    half: Option<u8>,
+    high: HighTime<TIME_BITS>,
+    /// Upper time in microseconds.
+    high_us: u64,
+    /// The `TIME_HIGH` that changes nothing; 0, which is none, while the next one might.
+    same_high: u16,
+    /// Lower time, or [`NONE`].
+    low: u16,
+    /// [`Evt3Parser::low`] after the first `TIME_HIGH`: 0 at the stream's start, [`NONE`] after a break, as that
+    /// word may be one that was repeated in the middle of its time.
+    first_low: u16,
+    /// Row, or [`NONE`].
+    row: u16,
+    /// First column and polarity of the next vector, [`NONE`] or [`OVER`].
+    base: u16,
+    /// The sensor's rows while there is a time, else 0.
+    rows: u16,
+    /// Where a run puts its events.
+    room: Box<[Event; ROOM]>,
+    latest_us: Option<u64>,
+    events: u64,
+    /// As [`COUNTED`].
+    counted: [u64; 4],
+    highs: u64,
+    lows: u64,
+    row_words: u64,
+    bases: u64,
+    singles: u64,
+    vectors: u64,
+    empty_vectors: u64,
+    losses: Skipped,
+}
+
+impl Evt3Parser {
+    /// At the start of a stream of a camera with this sensor.
+    #[must_use]
+    pub fn new(sensor: Sensor) -> Self {
+        let nothing = Event {
+            t_us: 0,
+            x: 0,
+            y: 0,
+            polarity: Polarity::Off,
+        };
+        Self {
+            sensor,
+            half: None,
+            high: HighTime::new(),
+            high_us: 0,
+            same_high: 0,
+            low: 0,
+            first_low: 0,
+            row: NONE,
+            base: NONE,
+            rows: 0,
+            room: Box::new([nothing; ROOM]),
+            latest_us: None,
+            events: 0,
+            counted: [0; 4],
+            highs: 0,
+            lows: 0,
+            row_words: 0,
+            bases: 0,
+            singles: 0,
+            vectors: 0,
+            empty_vectors: 0,
+            losses: Skipped::default(),
+        }
+    }
+
+    /// Words so far, whatever they were: those of [`Parse::words`], the single events, the vectors, and
+    /// the unknown ones.
+    #[must_use]
+    pub fn words_seen(&self) -> u64 {
+        let named = self.words().iter().map(|(_, count)| count).sum::<u64>();
+        let unknown = self.losses.iter().find(|(name, _)| *name == UNKNOWN);
+        named + self.singles + self.vectors + unknown.map_or(0, |(_, count)| count)
+    }
+
+    /// Takes words while they are as they should be, there are four of them to look at, and there is room
+    /// for their events; returns how many.
+    fn run(&mut self, words: &[[u8; 2]], events: &mut Vec<Event>) -> usize {
+        let (high_us, same_high) = (self.high_us, self.same_high);
+        let (width, rows) = (self.sensor.width, self.rows);
+        let (mut low, mut row) = (u64::from(self.low), self.row);
+        let room = &mut *self.room;
+        let (mut highs, mut lows, mut row_words, mut singles) = (0, 0, 0, 0);
+        let (mut at, mut filled) = (0, 0);
+        while filled <= ROOM_USED_MAX
+            && let Some(four) = words.get(at..).and_then(<[_]>::first_chunk::<4>)
+        {
+            let first = u64::from_le_bytes(four.as_flattened().try_into().unwrap_or_default());
+            // Which of the words that may come before an event are there; each is shifted out.
+            let has_high = first as u16 == same_high;
+            let second = pick(has_high, first >> 16, first);
+            let has_low = second >> 12 & 0xf == u64::from(TIME_LOW);
+            let third = pick(has_low, second >> 16, second);
+            let has_row = third >> 12 & 0xf == u64::from(ADDR_Y);
+            let event = pick(has_row, third >> 16, third) as u16;
+            let new_low = pick(has_low, second & u64::from(TIME), low);
+            let new_row = pick(has_row, third as u16 & COLUMN, row);
+            let x = event & COLUMN;
+            if (event >> 12 == ADDR_X) & (x < width) & (new_row < rows) {
+                (low, row) = (new_low, new_row);
+                room[filled % ROOM] = Event {
+                    t_us: high_us | low,
+                    x,
+                    y: row,
+                    polarity: Polarity::from_bool(event & ON != 0),
+                };
+                filled += 1;
+                singles += 1;
+                highs += u64::from(has_high);
+                lows += u64::from(has_low);
+                row_words += u64::from(has_row);
+                at += 1 + usize::from(has_high) + usize::from(has_low) + usize::from(has_row);
+                continue;
+            }
+            // No such group: one word by itself.
+            let word = first as u16;
+            match word >> 12 {
+                TIME_HIGH if has_high => highs += 1,
+                TIME_LOW => {
+                    low = u64::from(word & TIME);
+                    lows += 1;
+                }
+                ADDR_Y => {
+                    row = word & COLUMN;
+                    row_words += 1;
+                }
+                VECT_BASE_X => {
+                    self.base = word & TIME;
+                    self.bases += 1;
+                }
+                kind @ (VECT_12 | VECT_8) => {
+                    let step = if kind == VECT_12 { 12 } else { 8 };
+                    let bits = word & ((1 << step) - 1);
+                    let column = self.base & COLUMN;
+                    if self.base >= NONE || column + step > width || row >= rows || bits == 0 {
+                        break;
+                    }
+                    for bit in 0..VECTOR {
+                        room[filled % ROOM] = Event {
+                            t_us: high_us | low,
+                            x: column + bit,
+                            y: row,
+                            polarity: Polarity::from_bool(self.base & ON != 0),
+                        };
+                        filled += usize::from(bits >> bit & 1);
+                    }
+                    self.base = after_vector(self.base, step);
+                    self.vectors += 1;
+                }
+                kind => match counted(kind) {
+                    Some(kind) => self.counted[kind] += 1,
+                    None => break,
+                },
+            }
+            at += 1;
+        }
+        // Below 2^16.
+        (self.low, self.row) = (low as u16, row);
+        self.highs += highs;
+        self.lows += lows;
+        self.row_words += row_words;
+        self.singles += singles;
+        self.events += filled as u64;
+        events.extend_from_slice(&room[..filled.min(ROOM)]);
+        at
+    }
+
+    /// Takes any word.
+    fn take(&mut self, word: u16, events: &mut Vec<Event>) {
+        // A run may have seen the lower time that was missing.
+        self.look_for_time();
+        match word >> 12 {
+            ADDR_X => {
+                self.singles += 1;
+                self.emit((word & COLUMN).into(), 1, word & ON != 0, events);
+            }
+            ADDR_Y => {
+                self.row_words += 1;
+                self.row = word & COLUMN;
+            }
+            VECT_BASE_X => {
+                self.bases += 1;
+                self.base = word & TIME;
+            }
+            VECT_12 => self.vector(word & 0xfff, 12, events),
+            VECT_8 => self.vector(word & 0xff, 8, events),
+            TIME_LOW => {
+                self.lows += 1;
+                self.low = word & TIME;
+            }
+            TIME_HIGH => {
+                self.highs += 1;
+                let before = self.high.last();
+                let high = self.high.extend(u64::from(word & TIME));
+                self.high_us = high << TIME_BITS;
+                self.same_high = if self.high.is_trusted() { word } else { 0 };
+                match before {
+                    None => self.low = self.first_low,
+                    Some(before) if before != high => self.low = 0,
+                    Some(_) => (),
+                }
+            }
+            kind => match counted(kind) {
+                Some(kind) => self.counted[kind] += 1,
+                None => self.losses.add(UNKNOWN, 1),
+            },
+        }
+        self.look_for_time();
+    }
+
+    fn look_for_time(&mut self) {
+        let has_time = self.high.last().is_some() && self.low < NONE;
+        self.rows = if has_time { self.sensor.height } else { 0 };
+    }
+
+    fn vector(&mut self, bits: u16, step: u16, events: &mut Vec<Event>) {
+        if bits == 0 {
+            self.empty_vectors += 1;
+        } else {
+            self.vectors += 1;
+        }
+        let base = self.base;
+        if base == NONE {
+            let count = u64::from(bits.count_ones());
+            self.losses.add("events before the first column", count);
+            return;
+        }
+        let column = match base {
+            OVER => BEYOND,
+            _ => u32::from(base & COLUMN),
+        };
+        self.base = after_vector(base, step);
+        self.emit(column, bits, base & ON != 0, events);
+    }
+
+    /// Emits what has a time, a row and a pixel of `column + i` for the bits i, and counts the rest.
+    fn emit(&mut self, column: u32, bits: u16, is_on: bool, events: &mut Vec<Event>) {
+        let count = u64::from(bits.count_ones());
+        if self.rows == 0 {
+            self.losses.add("events before the first time", count);
+            return;
+        }
+        if self.row == NONE {
+            self.losses.add("events before the first row", count);
+            return;
+        }
+        let mut left = bits;
+        while left != 0 {
+            let x = u16::try_from(column + left.trailing_zeros()).unwrap_or(u16::MAX);
+            left &= left - 1;
+            if self.sensor.contains(x, self.row) {
+                self.events += 1;
+                events.push(Event {
+                    t_us: self.high_us | u64::from(self.low),
+                    x,
+                    y: self.row,
+                    polarity: Polarity::from_bool(is_on),
+                });
+            } else {
+                self.losses.add("events outside of the sensor", 1);
+            }
+        }
+    }
+
+    fn words_of(&mut self, mut words: &[[u8; 2]], events: &mut Vec<Event>) {
+        while let Some((word, rest)) = words.split_first() {
+            let done = self.run(words, events);
+            if done == 0 {
+                self.take(u16::from_le_bytes(*word), events);
+                words = rest;
+            } else {
+                words = &words[done..];
+            }
+        }
+    }
+}
+
+/// The first column of the next vector after one of `step` columns.
+const fn after_vector(base: u16, step: u16) -> u16 {
+    let next = (base & COLUMN) + step;
+    if base >= NONE || next > COLUMN {
+        OVER
+    } else {
+        base & ON | next
+    }
+}
+
+impl Parse for Evt3Parser {
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn parse(&mut self, bytes: &[u8], events: &mut Vec<Event>) {
+        let mut bytes = bytes;
+        if let Some(half) = self.half.take() {
+            let Some((second, rest)) = bytes.split_first() else {
+                self.half = Some(half);
+                return;
+            };
+            self.words_of(&[[half, *second]], events);
+            bytes = rest;
+        }
+        let (words, rest) = bytes.as_chunks();
+        self.words_of(words, events);
+        self.half = rest.first().copied();
+        if self.high.last().is_some() && self.low < NONE {
+            self.latest_us = Some(self.high_us | u64::from(self.low));
+        }
+    }
+
+    fn resume(&mut self, now_us: Option<u64>) {
+        if self.half.take().is_some() {
+            self.losses.add("bytes of an incomplete word", 1);
+        }
+        self.high.resume(now_us.map(|now_us| now_us >> TIME_BITS));
+        self.same_high = 0;
+        self.rows = 0;
+        self.first_low = NONE;
+        (self.low, self.row, self.base) = (NONE, NONE, NONE);
+    }
+
+    fn time_us(&self) -> Option<u64> {
+        self.latest_us
+    }
+
+    fn events(&self) -> u64 {
+        self.events
+    }
+
+    fn words(&self) -> Skipped {
+        let mut words = Skipped::default();
+        for (name, count) in COUNTED.into_iter().zip(self.counted) {
+            words.add(name, count);
+        }
+        words.add("times, upper bits", self.highs);
+        words.add("times, lower bits", self.lows);
+        words.add("rows", self.row_words);
+        words.add("vectors' first columns", self.bases);
+        words.add("empty vectors", self.empty_vectors);
+        words
+    }
+
+    fn losses(&self) -> Skipped {
+        self.losses.clone()
+    }
+}

@@ -1,0 +1,257 @@
+//! The sensors that are known, and how a board's is found, started and stopped.
+
+use anyhow::{Result, bail, ensure};
+use eecvs_nostd::Sensor;
+
+use super::Format;
+use super::parse_evt21::Order;
+use super::registers::{self, CHIP, FORMAT, FORMAT_EVT21, Sequences, Step, VARIANT, take};
+use super::registers_evk2::{EVK2_IMX636, SENSOR};
+use super::treuzell::{self, Board};
+
+/// Devices of a board, at the most: a wrong number must not be counted up to.
+const DEVICES_MAX: u32 = 16;
+
+/// A sensor, and for the EVK2 the board that it is on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Chip {
+    /// IMX636.
+    Imx636,
+    /// IMX646.
+    Imx646,
+    /// Gen 4.1.
+    Gen41,
+    /// GenX320.
+    Genx320,
+    /// IMX636 behind the FPGA of an EVK2.
+    Evk2Imx636,
+}
+
+/// Register of an EVK2's FPGA that has the number of the system.
+pub const EVK2_SYSTEM: u32 = 0x800;
+
+impl Chip {
+    /// Its size.
+    #[must_use]
+    pub const fn sensor(self) -> Sensor {
+        match self {
+            Self::Genx320 => Sensor {
+                width: 320,
+                height: 320,
+            },
+            _ => Sensor {
+                width: 1280,
+                height: 720,
+            },
+        }
+    }
+
+    /// Name of a camera with it; `kind` is what a board says of itself.
+    #[must_use]
+    pub const fn camera(self, kind: Option<u8>) -> &'static str {
+        match (self, kind) {
+            (Self::Imx636, Some(0x31)) => "EVK4 IMX636",
+            (Self::Imx636, _) => "EVK3 IMX636",
+            (Self::Imx646, _) => "EVK4 IMX646",
+            (Self::Gen41, _) => "EVK3-HD Gen 4.1",
+            (Self::Genx320, _) => "EVK3 GenX320",
+            (Self::Evk2Imx636, _) => "EVK2 IMX636",
+        }
+    }
+
+    /// What a board with it says of its kind: 0x31 an EVK4, 0x35 with an IMX646, 0x30 an EVK3-HD.
+    #[must_use]
+    pub const fn kind(self) -> Option<u8> {
+        match self {
+            Self::Imx636 => Some(0x31),
+            Self::Imx646 => Some(0x35),
+            Self::Gen41 => Some(0x30),
+            Self::Genx320 | Self::Evk2Imx636 => None,
+        }
+    }
+
+    /// What its device is compatible with.
+    #[must_use]
+    pub const fn compatible(self) -> &'static str {
+        match self {
+            Self::Imx636 => "psee,ccam5_imx636",
+            Self::Imx646 => "psee,ccam5_imx646",
+            Self::Gen41 => "psee,ccam5_gen41",
+            Self::Genx320 => "psee,cx3_genx320",
+            Self::Evk2Imx636 => "psee,video_imx636",
+        }
+    }
+
+    /// Its number in [`CHIP`].
+    #[must_use]
+    pub const fn number(self) -> u32 {
+        match self {
+            Self::Imx636 | Self::Imx646 | Self::Evk2Imx636 => 0xA040_1806,
+            Self::Gen41 => 0xA030_1003,
+            Self::Genx320 => 0xB060_2003,
+        }
+    }
+
+    fn sequences(self) -> &'static Sequences {
+        match self {
+            Self::Imx636 | Self::Imx646 => &registers::IMX636,
+            Self::Gen41 => &registers::GEN41,
+            Self::Genx320 => &registers::GENX320,
+            Self::Evk2Imx636 => &EVK2_IMX636,
+        }
+    }
+
+    /// Where the sensor's registers begin.
+    #[must_use]
+    pub const fn base(self) -> u32 {
+        match self {
+            Self::Evk2Imx636 => SENSOR,
+            _ => 0,
+        }
+    }
+
+    /// Register whose [`registers::PIXELS_GO`] lets the pixels go.
+    #[must_use]
+    pub const fn pixels(self) -> u32 {
+        match self {
+            Self::Genx320 => registers::GENX320_PIXELS,
+            _ => registers::PIXELS,
+        }
+    }
+
+    /// Whether a device of its own moves its stream.
+    #[must_use]
+    pub const fn has_streamer(self) -> bool {
+        matches!(self, Self::Evk2Imx636)
+    }
+}
+
+/// A board's sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Found {
+    /// Which one.
+    pub chip: Chip,
+    /// Number of its device.
+    device: u32,
+    /// Device that moves its stream, where the board has one.
+    streamer: Option<u32>,
+}
+
+/// What sends the events of an EVK2 on.
+pub const STREAMER: &str = "treuzell,streamer";
+
+impl Found {
+    /// Looks through a board's devices.
+    ///
+    /// # Errors
+    /// The board is gone, or has no sensor that is known.
+    pub fn look(board: &mut Board<'_>) -> Result<Self> {
+        let devices = board.number(treuzell::DEVICES)?;
+        let name = board.control().name().to_owned();
+        ensure!(
+            (1..=DEVICES_MAX).contains(&devices),
+            "{name}: says that it has {devices} devices: reconnect it"
+        );
+        let (mut streamer, mut seen) = (None, Vec::new());
+        for device in 0..devices {
+            let names = match board.strings(treuzell::COMPATIBLE, device) {
+                Ok(names) => names,
+                // Old firmware has them as names.
+                Err(_) => board.strings(treuzell::NAME, device)?,
+            };
+            if names.iter().any(|name| name == STREAMER) {
+                streamer = Some(device);
+            } else if let Some(chip) = Self::chip(board, device, &names)? {
+                return Ok(Self {
+                    chip,
+                    device,
+                    streamer,
+                });
+            }
+            seen.extend(names);
+        }
+        bail!(
+            "{name}: no sensor that is known among {}: IMX636, IMX646, Gen 4.1 and GenX320 are",
+            seen.join(", ")
+        )
+    }
+
+    fn chip(board: &mut Board<'_>, device: u32, names: &[String]) -> Result<Option<Chip>> {
+        let has = |compatible: &str| names.iter().any(|name| name == compatible);
+        if has(Chip::Evk2Imx636.compatible()) {
+            // What a board answers is not written down anywhere, but that it answers.
+            board.read(device, EVK2_SYSTEM)?;
+            return Ok(Some(Chip::Evk2Imx636));
+        }
+        let families = ["psee,ccam5_", "psee,cx3_"];
+        let is_sensor = |name: &String| families.iter().any(|family| name.starts_with(family));
+        if !names.iter().any(is_sensor) {
+            return Ok(None);
+        }
+        // The chip itself says what it is: boards name several that they might have.
+        Ok(match board.read(device, CHIP)? {
+            0xA040_1806 if board.read(device, VARIANT)? & 3 == 0 => Some(Chip::Imx636),
+            0xA040_1806 => Some(Chip::Imx646),
+            0xA030_1002 | 0xA030_1003 => Some(Chip::Gen41),
+            0x3050_1C01 | 0xB060_2003 => Some(Chip::Genx320),
+            _ => None,
+        })
+    }
+
+    /// The format that it is set to.
+    ///
+    /// # Errors
+    /// The board is gone.
+    pub fn format(self, board: &mut Board<'_>) -> Result<Format> {
+        Ok(match self.chip {
+            Chip::Genx320 => Format::Evt21(Order::Little),
+            Chip::Evk2Imx636 => Format::Evt3,
+            Chip::Imx636 | Chip::Imx646 | Chip::Gen41 => {
+                if board.read(self.device, FORMAT)? & FORMAT_EVT21 != 0 {
+                    Format::Evt21(Order::UpperFirst)
+                } else {
+                    Format::Evt3
+                }
+            }
+        })
+    }
+
+    /// Sets it up anew and lets events come.
+    ///
+    /// # Errors
+    /// The board is gone, or refuses a step.
+    pub fn start(self, board: &mut Board<'_>, format: Format) -> Result<()> {
+        let sequences = self.chip.sequences();
+        let steps: &[Step] = match format {
+            _ if matches!(self.chip, Chip::Genx320 | Chip::Evk2Imx636) => &[],
+            Format::Evt3 => registers::EVT3,
+            Format::Evt21(_) => registers::EVT21,
+        };
+        for steps in [
+            sequences.stop,
+            sequences.shut_down,
+            sequences.make_ready,
+            steps,
+            sequences.start,
+        ] {
+            take(board, self.device, steps)?;
+        }
+        if let Some(streamer) = self.streamer {
+            board.stream(streamer, true)?;
+        }
+        Ok(())
+    }
+
+    /// Ends the events.
+    ///
+    /// # Errors
+    /// The board is gone.
+    pub fn stop(self, board: &mut Board<'_>) -> Result<()> {
+        take(board, self.device, self.chip.sequences().stop)?;
+        if let Some(streamer) = self.streamer {
+            // A board that does not stream may refuse to stop.
+            let _ = board.stream(streamer, false);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,258 @@
+//! EVT 3.0 as a camera sends it, of any events.
+//!
+//! `TIME_HIGH` comes when it changes, and again before the first event of every further 16 us (a
+//! sensor sends it every 16 us, events or not); `TIME_LOW` and `ADDR_Y` follow it, and come when they change, so
+//! that a receiver is right again 16 us after a loss. In a silence of up to 2^32 us `TIME_HIGH`
+//! comes at each of its values, every 4,096 us, in a longer one every 2 s. Three and more events
+//! in a row that share time, row and polarity in rising columns are one vector, as far as that is
+//! shorter: up to 32 columns, as a sensor sends them. The order of events is kept.
+
+use anyhow::{Context, Result};
+use eecvs_nostd::{Event, Polarity, Sensor};
+use host_harness::formats::evt3::{
+    ADDR_X, ADDR_Y, TIME_BITS, TIME_HIGH, TIME_LOW, VECT_8, VECT_12, VECT_BASE_X,
+};
+
+use super::high_time::Way;
+use crate::device::WriteStream;
+
+/// Columns of a vector's words: 12, 12 and 8.
+const VECTOR_COLUMNS: u16 = 32;
+/// Microseconds after which `TIME_HIGH` comes again with the next event, as a power of two.
+const REPEAT_BITS: u32 = 4;
+/// `TIME_HIGH`s of a silence through which each is sent: 2^32 us.
+const SILENCE: u64 = 1 << (32 - TIME_BITS);
+
+/// Writer of EVT 3.0.
+pub struct Evt3Stream {
+    sensor: Sensor,
+    high: Way<TIME_BITS>,
+    /// Time of the latest event, without its lowest [`REPEAT_BITS`].
+    block: Option<u64>,
+    low: Option<u16>,
+    row: Option<u16>,
+    events: u64,
+}
+
+impl Evt3Stream {
+    /// At the start of a stream of a camera with this sensor, whose time begins at 0.
+    #[must_use]
+    pub fn new(sensor: Sensor) -> Self {
+        Self {
+            sensor,
+            high: Way::new(),
+            block: None,
+            low: None,
+            row: None,
+            events: 0,
+        }
+    }
+
+    fn time(&mut self, t_us: u64, bytes: &mut Vec<u8>) -> Result<()> {
+        let high = t_us >> TIME_BITS;
+        if self.block != Some(t_us >> REPEAT_BITS) {
+            if self.high.last() == Some(high) {
+                put(bytes, TIME_HIGH, (high & 0xfff) as u16);
+            } else {
+                self.high
+                    .go(high, (1, SILENCE), |low| put(bytes, TIME_HIGH, low as u16))
+                    .ok()
+                    .with_context(|| super::time_refused(self.events, t_us))?;
+            }
+            self.block = Some(t_us >> REPEAT_BITS);
+            (self.low, self.row) = (None, None);
+        }
+        // Below 2^12.
+        let low = (t_us & 0xfff) as u16;
+        if self.low != Some(low) {
+            put(bytes, TIME_LOW, low);
+            self.low = Some(low);
+        }
+        Ok(())
+    }
+}
+
+fn put(bytes: &mut Vec<u8>, kind: u16, value: u16) {
+    bytes.extend((kind << 12 | value).to_le_bytes());
+}
+
+impl WriteStream for Evt3Stream {
+    fn write(&mut self, events: &[Event], bytes: &mut Vec<u8>) -> Result<()> {
+        let mut rest = events;
+        while let Some(first) = rest.first() {
+            let (count, columns) = run(rest);
+            let (now, later) = rest.split_at(count);
+            for (event, index) in now.iter().zip(self.events..) {
+                super::check_inside(index, event, self.sensor)?;
+            }
+            self.time(first.t_us, bytes)?;
+            if self.row != Some(first.y) {
+                put(bytes, ADDR_Y, first.y);
+                self.row = Some(first.y);
+            }
+            let polarity = u16::from(first.polarity == Polarity::On) << 11;
+            if count >= 3 && words(columns) <= count {
+                put(bytes, VECT_BASE_X, polarity | first.x);
+                vectors(columns, bytes);
+            } else {
+                for event in now {
+                    put(bytes, ADDR_X, polarity | event.x);
+                }
+            }
+            self.events += count as u64;
+            rest = later;
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, _: &mut Vec<u8>) -> Result<()> {
+        Ok(())
+    }
+}
+
+/// Number of events at the start of `events` that one vector can hold in their order, and its columns.
+fn run(events: &[Event]) -> (usize, u32) {
+    let Some(first) = events.first() else {
+        return (0, 0);
+    };
+    let (mut count, mut columns, mut last) = (1, 1, 0);
+    for event in &events[1..] {
+        let alike = (event.t_us, event.y, event.polarity) == (first.t_us, first.y, first.polarity);
+        match event.x.checked_sub(first.x) {
+            Some(column) if alike && column > last && column < VECTOR_COLUMNS => {
+                columns |= 1 << column;
+                last = column;
+                count += 1;
+            }
+            _ => break,
+        }
+    }
+    (count, columns)
+}
+
+/// Words of a vector, with the one of its first column.
+const fn words(columns: u32) -> usize {
+    match 32 - columns.leading_zeros() {
+        0..=12 => 2,
+        13..=24 => 3,
+        _ => 4,
+    }
+}
+
+fn vectors(columns: u32, bytes: &mut Vec<u8>) {
+    let mut left = columns;
+    while left != 0 {
+        let width = match 32 - left.leading_zeros() {
+            0..=8 => 8,
+            _ => 12,
+        };
+        let kind = if width == 8 { VECT_8 } else { VECT_12 };
+        put(bytes, kind, (left & ((1 << width) - 1)) as u16);
+        left >>= width;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::parse_evt3::Evt3Parser;
+    use super::*;
+    use crate::device::Parse;
+
+    const SENSOR: Sensor = Sensor {
+        width: 1280,
+        height: 720,
+    };
+
+    fn words_of(events: &[Event]) -> Vec<u16> {
+        let mut bytes = Vec::new();
+        Evt3Stream::new(SENSOR).write(events, &mut bytes).unwrap();
+        let (words, rest) = bytes.as_chunks();
+        assert!(rest.is_empty());
+        words.iter().map(|word| u16::from_le_bytes(*word)).collect()
+    }
+
+    fn event(t_us: u64, x: u16, y: u16, on: bool) -> Event {
+        Event {
+            t_us,
+            x,
+            y,
+            polarity: Polarity::from_bool(on),
+        }
+    }
+
+    #[test]
+    fn words_are_those_of_a_sensor() {
+        let t_us = 3 << 12;
+        assert_eq!(
+            words_of(&[
+                event(t_us + 5, 0x123, 0x45, true),
+                event(t_us + 5, 0x124, 0x45, false),
+                event(t_us + 6, 1, 0x45, false),
+                event(t_us + 6, 1, 0x46, false),
+                event(t_us + 17, 1, 0x46, false),
+            ]),
+            [
+                0x8003, 0x6005, 0x0045, 0x2923, 0x2124, 0x6006, 0x2001, 0x0046, 0x2001, 0x8003,
+                0x6011, 0x0046, 0x2001
+            ]
+        );
+    }
+
+    #[test]
+    fn neighbours_are_vectors() {
+        let row = |columns: &[u16]| {
+            let events: Vec<_> = columns.iter().map(|x| event(0, *x, 7, true)).collect();
+            words_of(&events)[3..].to_vec()
+        };
+        assert_eq!(row(&[10, 11]), [0x280a, 0x280b]);
+        assert_eq!(row(&[10, 11, 14]), [0x380a, 0x5013]);
+        assert_eq!(row(&[10, 11, 20]), [0x380a, 0x4403]);
+        assert_eq!(row(&[10, 22, 23]), [0x380a, 0x4001, 0x5003]);
+        assert_eq!(row(&[10, 11, 34, 41]), [0x380a, 0x4003, 0x4000, 0x5081]);
+        // Longer than the events alone.
+        assert_eq!(row(&[10, 11, 41]), [0x280a, 0x280b, 0x2829]);
+        // Columns that fall, and one that comes twice.
+        assert_eq!(row(&[12, 11, 10]), [0x280c, 0x280b, 0x280a]);
+        assert_eq!(row(&[12, 12, 13]), [0x280c, 0x280c, 0x280d]);
+    }
+
+    #[test]
+    fn silences_are_walked_through() {
+        let seconds = |s: u64| s * 1_000_000;
+        let words = words_of(&[
+            event(0, 1, 1, true),
+            event(seconds(40), 1, 1, true),
+            event(seconds(40_000), 1, 1, true),
+        ]);
+        let high = words.iter().filter(|word| **word >> 12 == TIME_HIGH);
+        let expected = 1 + seconds(40) / 4096 + (seconds(39_960) / 4096).div_ceil(512);
+        assert!((high.count() as u64).abs_diff(expected) <= 1);
+        let mut stream = Evt3Stream::new(SENSOR);
+        let error = stream
+            .write(
+                &[event(0, 1, 1, true), event(1 << 50, 1, 1, true)],
+                &mut vec![],
+            )
+            .unwrap_err();
+        assert!(error.to_string().starts_with("event 1: "), "{error}");
+        let outside = stream
+            .write(&[event(1, 1280, 1, true)], &mut vec![])
+            .unwrap_err();
+        assert!(outside.to_string().starts_with("event 1 "), "{outside}");
+    }
+
+    #[test]
+    fn a_time_after_many_wraps_is_reached() {
+        let events = [
+            event(1 << 32, 5, 6, false),
+            event((1 << 32) + 1, 5, 6, true),
+        ];
+        let (mut bytes, mut parsed) = (Vec::new(), Vec::new());
+        Evt3Stream::new(SENSOR).write(&events, &mut bytes).unwrap();
+        assert!(bytes.len() < 1 << 14);
+        let mut parser = Evt3Parser::new(SENSOR);
+        parser.parse(&bytes, &mut parsed);
+        assert_eq!(parsed, events);
+        assert_eq!(parser.time_us(), Some((1 << 32) + 1));
+    }
+}

@@ -1,0 +1,377 @@
+//! Traces of a link as a pcapng file that Wireshark opens: what passed, as transfers on USB.
+//!
+//! The link type is `USB_LINUX_MMAPPED` (220): a header of 64 bytes as the kernel's usbmon has it, in
+//! this machine's byte order as the file is, then the bytes.
+
+use std::borrow::Cow;
+use std::io::Write;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use pcap_file::pcapng::PcapNgWriter;
+use pcap_file::pcapng::blocks::enhanced_packet::EnhancedPacketBlock;
+use pcap_file::pcapng::blocks::interface_description::{
+    InterfaceDescriptionBlock, InterfaceDescriptionOption,
+};
+use pcap_file::{DataLink, PcapError};
+
+use super::control::{Control, Request};
+use super::{Link, LinkError, Loss, Received};
+
+const HEADER: usize = 64;
+const CONTROL: u8 = 2;
+const BULK: u8 = 3;
+
+/// Linux's errors, as a transfer's status has them.
+const EPIPE: i32 = -32;
+const EPROTO: i32 = -71;
+const EOVERFLOW: i32 = -75;
+const ESHUTDOWN: i32 = -108;
+
+/// Where the transfers are told to be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Place {
+    /// Number of the bus.
+    pub bus: u16,
+    /// Address of the device.
+    pub address: u8,
+    /// The stream's endpoint, with the direction's bit.
+    pub endpoint: u8,
+}
+
+/// A trace that links write to.
+#[derive(Clone)]
+pub struct Tracer {
+    shared: Arc<Mutex<Shared>>,
+    place: Place,
+}
+
+struct Shared {
+    writer: PcapNgWriter<Box<dyn Write + Send>>,
+    started: (Instant, Duration),
+    next: u64,
+    /// The first failure: nothing is written after it, and the links go on.
+    failed: Option<PcapError>,
+}
+
+/// One line of usbmon.
+struct Packet<'p> {
+    /// `S`ubmission or `C`ompletion.
+    event: u8,
+    id: u64,
+    kind: u8,
+    endpoint: u8,
+    at: Instant,
+    status: i32,
+    length: usize,
+    setup: Option<[u8; 8]>,
+    /// `None` where the bytes go the other way.
+    data: Option<&'p [u8]>,
+}
+
+impl Tracer {
+    /// Begins a trace in `out`, which should be buffered.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn new(out: Box<dyn Write + Send>, place: Place, name: &str) -> Result<Self, PcapError> {
+        let mut writer = PcapNgWriter::new(out)?;
+        writer.write_pcapng_block(InterfaceDescriptionBlock {
+            linktype: DataLink::USB_LINUX_MMAPPED,
+            snaplen: 0,
+            options: vec![
+                InterfaceDescriptionOption::IfName(Cow::Borrowed(name)),
+                // Times in nanoseconds.
+                InterfaceDescriptionOption::IfTsResol(9),
+            ],
+        })?;
+        let unix = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .unwrap_or_default();
+        Ok(Self {
+            shared: Arc::new(Mutex::new(Shared {
+                writer,
+                started: (Instant::now(), unix),
+                next: 1,
+                failed: None,
+            })),
+            place,
+        })
+    }
+
+    /// A link whose transfers are written.
+    pub fn link<L: Link>(&self, inner: L) -> Trace<L> {
+        Trace {
+            inner,
+            tracer: self.clone(),
+        }
+    }
+
+    /// A control side whose requests are written.
+    pub fn control<C: Control>(&self, inner: C) -> TraceControl<C> {
+        TraceControl {
+            inner,
+            tracer: self.clone(),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Shared> {
+        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Ends the trace: what is buffered is written.
+    ///
+    /// # Errors
+    /// The first failure to write, now or before.
+    pub fn finish(&self) -> Result<(), PcapError> {
+        let mut shared = self.lock();
+        match shared.failed.take() {
+            Some(error) => Err(error),
+            None => shared.writer.get_mut().flush().map_err(PcapError::IoError),
+        }
+    }
+
+    /// A transfer from its submission at `asked` to its end at `ended`.
+    fn transfer(
+        &self,
+        (kind, endpoint): (u8, u8),
+        (asked, ended): (Instant, Instant),
+        setup: Option<[u8; 8]>,
+        (length, status): (usize, i32),
+        data: &[u8],
+    ) {
+        let mut shared = self.lock();
+        let id = shared.next;
+        shared.next += 1;
+        let into = endpoint & 0x80 != 0;
+        let (event, at) = (b'S', asked.min(ended));
+        shared.write(
+            self.place,
+            &Packet {
+                event,
+                id,
+                kind,
+                endpoint,
+                at,
+                // In progress.
+                status: -115,
+                length,
+                setup,
+                data: (!into).then_some(data),
+            },
+        );
+        shared.write(
+            self.place,
+            &Packet {
+                event: b'C',
+                id,
+                kind,
+                endpoint,
+                at: ended,
+                status,
+                length: data.len(),
+                setup: None,
+                data: into.then_some(data),
+            },
+        );
+    }
+}
+
+impl Shared {
+    fn write(&mut self, place: Place, packet: &Packet<'_>) {
+        if self.failed.is_some() {
+            return;
+        }
+        let (started, unix) = self.started;
+        let time = packet.at.checked_duration_since(started).map_or_else(
+            || unix - (started - packet.at).min(unix),
+            |since| unix + since,
+        );
+        let data = packet.data.unwrap_or_default();
+        let mut bytes = Vec::with_capacity(HEADER + data.len());
+        bytes.extend(packet.id.to_ne_bytes());
+        bytes.extend([packet.event, packet.kind, packet.endpoint, place.address]);
+        bytes.extend(place.bus.to_ne_bytes());
+        bytes.push(if packet.setup.is_some() { 0 } else { b'-' });
+        bytes.push(match packet.data {
+            Some(data) if !data.is_empty() => 0,
+            _ if packet.endpoint & 0x80 != 0 => b'<',
+            _ => b'>',
+        });
+        bytes.extend((time.as_secs() as i64).to_ne_bytes());
+        bytes.extend((time.subsec_micros() as i32).to_ne_bytes());
+        bytes.extend(packet.status.to_ne_bytes());
+        bytes.extend((packet.length as u32).to_ne_bytes());
+        bytes.extend((data.len() as u32).to_ne_bytes());
+        bytes.extend(packet.setup.unwrap_or_default());
+        // Interval, first frame, flags and number of descriptors are those of other transfers.
+        bytes.extend([0; 16]);
+        debug_assert_eq!(bytes.len(), HEADER);
+        bytes.extend(data);
+        let written = self.writer.write_pcapng_block(EnhancedPacketBlock {
+            interface_id: 0,
+            timestamp: time,
+            original_len: bytes.len() as u32,
+            data: Cow::Owned(bytes),
+            options: Vec::new(),
+        });
+        self.failed = written.err();
+    }
+}
+
+/// A link that is traced.
+pub struct Trace<L> {
+    inner: L,
+    tracer: Tracer,
+}
+
+impl<L: Link> Link for Trace<L> {
+    fn name(&self) -> &str {
+        self.inner.name()
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError> {
+        let asked = Instant::now();
+        let stream = (BULK, self.tracer.place.endpoint);
+        let received = self.inner.receive(timeout);
+        let now = Instant::now();
+        let ended = |status: i32, data: &[u8], at: Instant| {
+            let length = (data.len(), status);
+            self.tracer
+                .transfer(stream, (asked, at), None, length, data);
+        };
+        match &received {
+            Ok(Received::Bytes { bytes, at }) => ended(0, bytes, *at),
+            Ok(Received::Lost { cause, .. }) => {
+                let status = match cause {
+                    Loss::Overflow => EOVERFLOW,
+                    Loss::Stalled => EPIPE,
+                    Loss::Damaged | Loss::Injected => EPROTO,
+                };
+                ended(status, &[], now);
+            }
+            Ok(Received::Nothing | Received::Ended) => {}
+            Err(LinkError::Stalled { .. }) => ended(EPIPE, &[], now),
+            Err(_) => ended(ESHUTDOWN, &[], now),
+        }
+        received
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        let asked = Instant::now();
+        let sent = self.inner.send(bytes);
+        let status = if sent.is_ok() { 0 } else { ESHUTDOWN };
+        let endpoint = self.tracer.place.endpoint & 0x7F;
+        let times = (asked, Instant::now());
+        self.tracer
+            .transfer((BULK, endpoint), times, None, (bytes.len(), status), bytes);
+        sent
+    }
+}
+
+/// A control side that is traced.
+pub struct TraceControl<C> {
+    inner: C,
+    tracer: Tracer,
+}
+
+fn setup(request: Request, length: usize) -> [u8; 8] {
+    let mut setup = [0; 8];
+    (setup[0], setup[1]) = (request.kind, request.request);
+    setup[2..4].copy_from_slice(&request.value.to_le_bytes());
+    setup[4..6].copy_from_slice(&request.index.to_le_bytes());
+    let length = u16::try_from(length).unwrap_or(u16::MAX);
+    setup[6..].copy_from_slice(&length.to_le_bytes());
+    setup
+}
+
+fn status<T>(result: &Result<T, LinkError>) -> i32 {
+    match result {
+        Ok(_) => 0,
+        Err(LinkError::Unplugged { .. }) => ESHUTDOWN,
+        Err(_) => EPIPE,
+    }
+}
+
+impl<C: Control> TraceControl<C> {
+    fn note<T>(
+        &self,
+        (kind, endpoint): (u8, u8),
+        asked: Instant,
+        setup: Option<[u8; 8]>,
+        result: &Result<T, LinkError>,
+        (length, data): (usize, &[u8]),
+    ) {
+        let times = (asked, Instant::now());
+        let ended = (length, status(result));
+        self.tracer
+            .transfer((kind, endpoint), times, setup, ended, data);
+    }
+}
+
+impl<C: Control> Control for TraceControl<C> {
+    fn control_out(&mut self, request: Request, data: &[u8]) -> Result<(), LinkError> {
+        let asked = Instant::now();
+        let result = self.inner.control_out(request, data);
+        let setup = Some(setup(request, data.len()));
+        self.note((CONTROL, 0), asked, setup, &result, (data.len(), data));
+        result
+    }
+
+    fn control_in(&mut self, request: Request, data: &mut [u8]) -> Result<usize, LinkError> {
+        let asked = Instant::now();
+        let result = self.inner.control_in(request, data);
+        let got = *result.as_ref().unwrap_or(&0);
+        let setup = Some(setup(request, data.len()));
+        let answer = (data.len(), &data[..got.min(data.len())]);
+        self.note((CONTROL, 0x80), asked, setup, &result, answer);
+        result
+    }
+
+    fn bulk_out(&mut self, endpoint: u8, data: &[u8]) -> Result<(), LinkError> {
+        let asked = Instant::now();
+        let result = self.inner.bulk_out(endpoint, data);
+        self.note((BULK, endpoint), asked, None, &result, (data.len(), data));
+        result
+    }
+
+    fn bulk_in(&mut self, endpoint: u8, data: &mut [u8]) -> Result<usize, LinkError> {
+        let asked = Instant::now();
+        let result = self.inner.bulk_in(endpoint, data);
+        let got = *result.as_ref().unwrap_or(&0);
+        let answer = (data.len(), &data[..got.min(data.len())]);
+        self.note((BULK, endpoint), asked, None, &result, answer);
+        result
+    }
+
+    fn clear_halt(&mut self, endpoint: u8) -> Result<(), LinkError> {
+        let asked = Instant::now();
+        let result = self.inner.clear_halt(endpoint);
+        // The standard's request: clear the feature 0 of an endpoint.
+        let request = Request {
+            kind: 0x02,
+            request: 1,
+            value: 0,
+            index: endpoint.into(),
+        };
+        let setup = Some(setup(request, 0));
+        self.note((CONTROL, 0), asked, setup, &result, (0, &[]));
+        result
+    }
+
+    fn wait(&mut self, duration: Duration) {
+        self.inner.wait(duration);
+    }
+
+    fn release(&self) -> u16 {
+        self.inner.release()
+    }
+
+    fn serial(&mut self) -> Option<String> {
+        self.inner.serial()
+    }
+
+    fn name(&self) -> &str {
+        self.inner.name()
+    }
+}

@@ -1,0 +1,286 @@
+//! What is attached.
+
+use std::fs;
+use std::mem::MaybeUninit;
+use std::path::Path;
+
+use rusb::{Context, Speed, UsbContext};
+
+use super::choose::{Candidate, absent, choose};
+use super::device::{Device, Drivers};
+use super::errors;
+use crate::device::{Model, recognise};
+use crate::link::LinkError;
+
+/// A hub's class: nothing that is looked for.
+const HUB: u8 = 9;
+
+/// Where Linux lists devices; absent on a machine without any host controller, as in a container.
+const SYSFS: &str = "/sys/bus/usb/devices";
+
+/// The USB of this machine.
+#[derive(Debug, Clone)]
+pub struct Bus {
+    /// `None` on a machine that has no USB, and so no devices.
+    context: Option<Context>,
+}
+
+/// A device that is attached.
+#[derive(Clone)]
+pub struct Attached {
+    pub(super) device: rusb::Device<Context>,
+    /// Its model, where that is known.
+    pub model: Option<&'static dyn Model>,
+    /// Number of the bus.
+    pub bus: u8,
+    /// Address on the bus, which is another at each connection.
+    pub address: u8,
+    /// Ports from the root on, which stay while it is not moved.
+    pub ports: Vec<u8>,
+    /// USB vendor.
+    pub vendor: u16,
+    /// USB product.
+    pub product: u16,
+    /// `bcdDevice`.
+    pub release: u16,
+    /// Speed of its connection.
+    pub speed: Speed,
+    /// The device's own name, where it can be read.
+    pub product_name: Option<String>,
+    /// Serial number, where it has one and it can be read.
+    pub serial: Option<String>,
+}
+
+/// Whether a device can be had.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Use {
+    /// It can be opened.
+    Free,
+    /// Another program or driver has it.
+    Taken,
+    /// This user may not open it.
+    Forbidden,
+    /// It has gone meanwhile, or cannot be asked.
+    Unknown,
+}
+
+impl Use {
+    /// For people and programs.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Free => "free",
+            Self::Taken => "in use",
+            Self::Forbidden => "no permission",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
+impl Bus {
+    /// The USB of this machine, as it is now.
+    ///
+    /// # Errors
+    /// The system does not let it be seen.
+    pub fn new() -> Result<Self, LinkError> {
+        match Context::new() {
+            Ok(context) => Ok(Self {
+                context: Some(context),
+            }),
+            Err(_) if cfg!(target_os = "linux") && !Path::new(SYSFS).exists() => {
+                Ok(Self { context: None })
+            }
+            Err(error) => Err(LinkError::Failed {
+                link: "usb".to_owned(),
+                cause: format!("the system's USB cannot be used: {error}"),
+            }),
+        }
+    }
+
+    /// Every device but hubs.
+    ///
+    /// # Errors
+    /// As for [`Bus::new`].
+    pub fn all(&self) -> Result<Vec<Attached>, LinkError> {
+        let Some(context) = &self.context else {
+            return Ok(Vec::new());
+        };
+        let list = context.devices().map_err(|error| LinkError::Failed {
+            link: "usb".to_owned(),
+            cause: format!("the devices cannot be listed: {error}"),
+        })?;
+        let mut all: Vec<_> = list.iter().filter_map(Attached::of).collect();
+        all.sort_by(|a, b| (a.bus, &a.ports).cmp(&(b.bus, &b.ports)));
+        Ok(all)
+    }
+
+    /// The devices whose model is known.
+    ///
+    /// # Errors
+    /// As for [`Bus::new`].
+    pub fn devices(&self) -> Result<Vec<Attached>, LinkError> {
+        let mut all = self.all()?;
+        all.retain(|one| one.model.is_some());
+        Ok(all)
+    }
+
+    /// The known device that `wanted` names, or the only one.
+    ///
+    /// # Errors
+    /// As for [`Bus::new`]; none fits, or several do, as [`choose`] says.
+    pub fn find(&self, wanted: Option<&str>) -> Result<Attached, LinkError> {
+        let mut devices = self.devices()?;
+        let candidates: Vec<_> = devices.iter().map(Attached::candidate).collect();
+        match choose(&candidates, wanted)? {
+            Some(index) => Ok(devices.swap_remove(index)),
+            None => Err(absent(&candidates, wanted)),
+        }
+    }
+}
+
+impl Attached {
+    /// `None` for a hub, and for a device that has gone.
+    pub(super) fn of(device: rusb::Device<Context>) -> Option<Self> {
+        let descriptor = device.device_descriptor().ok()?;
+        if descriptor.class_code() == HUB {
+            return None;
+        }
+        let (vendor, product) = (descriptor.vendor_id(), descriptor.product_id());
+        let release = release(&device)?;
+        let mut attached = Self {
+            model: recognise(vendor, product, release),
+            bus: device.bus_number(),
+            address: device.address(),
+            ports: device.port_numbers().unwrap_or_default(),
+            vendor,
+            product,
+            release,
+            speed: device.speed(),
+            product_name: None,
+            serial: None,
+            device,
+        };
+        attached.product_name = attached.kept_string("product");
+        attached.serial = attached.kept_string("serial");
+        if cfg!(not(target_os = "linux"))
+            && attached.model.is_some()
+            && let Ok(handle) = attached.device.open()
+        {
+            attached.product_name = handle.read_product_string_ascii(&descriptor).ok();
+            attached.serial = handle.read_serial_number_string_ascii(&descriptor).ok();
+        }
+        Some(attached)
+    }
+
+    /// A string that Linux has kept from the device's connection: no permission is needed, and the
+    /// device, which may be streaming, is not asked.
+    fn kept_string(&self, name: &str) -> Option<String> {
+        let path = format!("{SYSFS}/{}/{name}", &self.id()[4..]);
+        let text = fs::read_to_string(path).ok()?;
+        Some(text.trim().to_owned()).filter(|text| !text.is_empty())
+    }
+
+    /// Its place: `usb:1-4.2` is port 2 of the hub at port 4 of bus 1.
+    #[must_use]
+    pub fn id(&self) -> String {
+        let ports: Vec<_> = self.ports.iter().map(ToString::to_string).collect();
+        format!("usb:{}-{}", self.bus, ports.join("."))
+    }
+
+    /// Name for messages: `usb 1-4 davis346`.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let place = &self.id()[4..];
+        match self.model {
+            Some(model) => format!("usb {place} {}", model.name()),
+            None => format!("usb {place} {:04x}:{:04x}", self.vendor, self.product),
+        }
+    }
+
+    /// What it can be chosen by.
+    #[must_use]
+    pub fn candidate(&self) -> Candidate {
+        Candidate {
+            id: self.id(),
+            model: self.model.map(Model::name),
+            serial: self.serial.clone(),
+        }
+    }
+
+    /// Opens it and claims one interface. A kernel driver gives way, and is back afterwards.
+    ///
+    /// # Errors
+    /// No permission, in use, or gone.
+    pub fn open(&self, interface: u8) -> Result<Device, LinkError> {
+        Device::open(self, interface, Drivers::GiveWay)
+    }
+
+    /// Refuses a connection that is slower than the stream.
+    ///
+    /// # Errors
+    /// [`LinkError::TooSlow`] below SuperSpeed; an unknown speed passes.
+    pub fn require_super_speed(&self) -> Result<(), LinkError> {
+        match self.speed {
+            Speed::Low | Speed::Full | Speed::High => Err(LinkError::TooSlow {
+                link: self.name(),
+                speed: speed_name(self.speed),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether it can be had, without disturbing who has it. Where it is free, it stays open and its
+    /// interface claimed as long as what is returned.
+    #[must_use]
+    pub fn try_use(&self, interface: u8) -> (Use, Option<Device>) {
+        match Device::open(self, interface, Drivers::Stay) {
+            Ok(device) => (Use::Free, Some(device)),
+            Err(LinkError::Busy { .. }) => (Use::Taken, None),
+            Err(LinkError::Permission { .. }) => (Use::Forbidden, None),
+            Err(_) => (Use::Unknown, None),
+        }
+    }
+
+    pub(super) fn error(&self, step: &str, error: rusb::Error) -> LinkError {
+        errors::link_error(&self.name(), (self.vendor, self.product), step, error)
+    }
+}
+
+/// What a speed is called.
+#[must_use]
+pub const fn speed_name(speed: Speed) -> &'static str {
+    match speed {
+        Speed::Low => "1.5 Mbit/s",
+        Speed::Full => "12 Mbit/s",
+        Speed::High => "480 Mbit/s",
+        Speed::Super => "5 Gbit/s",
+        Speed::SuperPlus => "10 Gbit/s",
+        _ => "an unknown speed",
+    }
+}
+
+/// `bcdDevice` as it is: rusb's version takes it for decimal digits, which not every device heeds.
+#[expect(unsafe_code, reason = "rusb does not give the number itself")]
+fn release(device: &rusb::Device<Context>) -> Option<u16> {
+    let mut descriptor = MaybeUninit::<rusb::ffi::libusb_device_descriptor>::uninit();
+    // SAFETY: the device is alive as long as `device`, which holds a reference; libusb fills the
+    // descriptor where it returns 0, and only then it is read.
+    unsafe {
+        let result =
+            rusb::ffi::libusb_get_device_descriptor(device.as_raw(), descriptor.as_mut_ptr());
+        (result == 0).then(|| descriptor.assume_init().bcdDevice)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_machine_without_usb_has_no_devices_or_says_so_in_one_line() {
+        match Bus::new().and_then(|bus| bus.find(Some("no such device"))) {
+            Ok(_) => panic!("nothing is called so"),
+            Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! The stream of a device on USB.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::device::Opened;
+use super::ring::{Completion, Ring, Status};
+use crate::device::Transfers;
+use crate::link::{Link, LinkError, Loss, Received, until};
+
+/// A device that does not take bytes in this time does not take them at all.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Transfers that are taken back come back in this time, or the host controller is stuck.
+const BACK: Duration = Duration::from_secs(5);
+
+/// Failed transfers without a byte between them after which nothing is expected any more.
+const FAILURES_MAX: usize = 64;
+
+/// A stream of bulk transfers, several in flight, each lent as it is and then submitted again.
+///
+/// # Hand-over
+/// A transfer ends when it is full, or with a short packet of the device. Where neither comes for
+/// [`Transfers::timeout`], the oldest one is taken back as far as it was filled, and only that one: the
+/// others stay in flight, and the device always finds one that takes its bytes. A timeout of zero
+/// leaves even that one: right for a device that ends a transfer itself when it pauses.
+pub struct UsbLink {
+    opened: Arc<Opened>,
+    ring: Ring,
+    endpoint: u8,
+    timeout: Duration,
+    /// Transfers in flight.
+    count: usize,
+    /// The head's bytes are lent, or used up: it is submitted again at the next call.
+    used: bool,
+    /// Since when the head has been the oldest.
+    head_since: Instant,
+    /// The head was asked back.
+    asked_back: bool,
+    /// To be told before the next bytes.
+    loss: Option<Loss>,
+    /// The endpoint has halted: what is in flight comes back, then the halt is ended.
+    halted: bool,
+    /// Halts since bytes came.
+    halts: usize,
+    /// Failed transfers since bytes came.
+    failures: usize,
+    /// No transfer is submitted any more; what has come is still lent, and then this is told.
+    failed: Option<Failure>,
+}
+
+/// Why a stream has ended.
+#[derive(Debug, Clone, Copy)]
+enum Failure {
+    /// libusb's word for it, at a step.
+    Usb(rusb::Error),
+    Stalled,
+    /// Transfers fail one after the other.
+    Wire,
+    /// More bytes than were asked for, again and again.
+    Overflow,
+    /// Transfers do not come back.
+    Stuck,
+}
+
+impl UsbLink {
+    pub(super) fn new(opened: Arc<Opened>, transfers: &Transfers) -> Result<Self, LinkError> {
+        let Transfers {
+            endpoint,
+            count,
+            bytes,
+            timeout,
+            ..
+        } = *transfers;
+        let failed = |error| opened.error("transfers of its stream", error);
+        let mut ring = Ring::new(Arc::clone(&opened), endpoint, count, bytes).map_err(failed)?;
+        let count = ring.submit_all().map_err(failed)?;
+        Ok(Self {
+            opened,
+            ring,
+            endpoint,
+            timeout,
+            count,
+            used: false,
+            head_since: Instant::now(),
+            asked_back: false,
+            loss: None,
+            halted: false,
+            halts: 0,
+            failures: 0,
+            failed: None,
+        })
+    }
+
+    /// Transfers in flight: fewer than were asked for where the kernel has no memory for more.
+    #[must_use]
+    pub const fn in_flight(&self) -> usize {
+        self.count
+    }
+
+    /// Gives the head back, when its bytes are not needed any more.
+    fn next_head(&mut self) {
+        if !std::mem::take(&mut self.used) {
+            return;
+        }
+        let again = self.failed.is_none() && !self.halted;
+        if let Err(error) = self.ring.release(again) {
+            self.failed.get_or_insert(Failure::Usb(error));
+            // What has come is kept; nothing more will.
+            self.ring.cancel_all();
+        }
+        self.head_since = Instant::now();
+        self.asked_back = false;
+    }
+
+    /// Takes note of how the head ended.
+    fn note(&mut self, completion: Completion) {
+        self.used = true;
+        if completion.length > 0 {
+            (self.failures, self.halts) = (0, 0);
+        }
+        match completion.status {
+            Status::Complete | Status::Cancelled => {}
+            Status::Stalled if self.halted => {}
+            Status::Stalled => {
+                self.halted = true;
+                self.halts += 1;
+                self.ring.cancel_all();
+                if self.halts > 1 {
+                    self.failed.get_or_insert(Failure::Stalled);
+                } else {
+                    self.loss = Some(Loss::Stalled);
+                }
+            }
+            Status::Overflow => {
+                self.loss = Some(Loss::Overflow);
+                self.fail_again(Failure::Overflow);
+            }
+            Status::Failed => {
+                self.loss = Some(Loss::Damaged);
+                self.fail_again(Failure::Wire);
+            }
+            Status::NoDevice => {
+                self.failed
+                    .get_or_insert(Failure::Usb(rusb::Error::NoDevice));
+            }
+        }
+    }
+
+    fn fail_again(&mut self, failure: Failure) {
+        self.failures += 1;
+        if self.failures > FAILURES_MAX {
+            self.failed.get_or_insert(failure);
+            self.ring.cancel_all();
+        }
+    }
+
+    /// The head is not in flight and has nothing: the stream has ended, or begins anew after a halt.
+    fn begin_again(&mut self) -> Result<(), LinkError> {
+        if let Some(failure) = self.failed {
+            return Err(self.error(failure));
+        }
+        self.halted = false;
+        let begun = self
+            .opened
+            .handle
+            .clear_halt(self.endpoint)
+            .and_then(|()| self.ring.submit_all());
+        match begun {
+            Ok(count) => {
+                self.count = count;
+                self.head_since = Instant::now();
+                self.asked_back = false;
+                Ok(())
+            }
+            Err(error) => {
+                let failure = match error {
+                    rusb::Error::Pipe | rusb::Error::Timeout => Failure::Stalled,
+                    other => Failure::Usb(other),
+                };
+                self.failed = Some(failure);
+                Err(self.error(failure))
+            }
+        }
+    }
+
+    fn error(&self, failure: Failure) -> LinkError {
+        let link = self.opened.name.clone();
+        match failure {
+            Failure::Usb(error) => self.opened.error("transfers of its stream", error),
+            Failure::Stalled => LinkError::Stalled {
+                link,
+                endpoint: self.endpoint,
+            },
+            // A cable that is pulled fails like this until the hub has noticed.
+            Failure::Wire => LinkError::Unplugged { link },
+            Failure::Overflow => LinkError::Failed {
+                link,
+                cause: "sends more than it is asked for, again and again: transfers that are no \
+                        multiple of its packets?"
+                    .to_owned(),
+            },
+            Failure::Stuck => LinkError::Failed {
+                link,
+                cause: "its transfers do not come back; connect it again".to_owned(),
+            },
+        }
+    }
+}
+
+impl Link for UsbLink {
+    fn name(&self) -> &str {
+        &self.opened.name
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError> {
+        let deadline = until(timeout);
+        loop {
+            self.next_head();
+            if let Some(cause) = self.loss.take() {
+                return Ok(Received::Lost { bytes: None, cause });
+            }
+            let hand_over = (!self.timeout.is_zero() && !self.asked_back)
+                .then(|| self.head_since.checked_add(self.timeout))
+                .flatten();
+            // What is coming back is waited for, whatever the timeout: it is not far.
+            let ending = self.failed.is_some() || self.halted;
+            let wait = if ending {
+                Instant::now() + BACK
+            } else {
+                hand_over.map_or(deadline, |at| at.min(deadline))
+            };
+            match self.ring.wait(wait) {
+                Some(completion) => {
+                    self.note(completion);
+                    if completion.length > 0 {
+                        return Ok(Received::Bytes {
+                            bytes: self.ring.bytes(completion.length),
+                            at: completion.at,
+                        });
+                    }
+                }
+                None if self.ring.head_is_ours() => self.begin_again()?,
+                None if ending => {
+                    self.failed = Some(Failure::Stuck);
+                    return Err(self.error(Failure::Stuck));
+                }
+                None => {
+                    let now = Instant::now();
+                    if hand_over.is_some_and(|at| at <= now) {
+                        self.ring.cancel_head();
+                        self.asked_back = true;
+                    } else if deadline <= now {
+                        return Ok(Received::Nothing);
+                    }
+                }
+            }
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        let Some(endpoint) = self.opened.bulk_out else {
+            return Err(LinkError::Failed {
+                link: self.opened.name.clone(),
+                cause: "has no endpoint that takes bytes".to_owned(),
+            });
+        };
+        let mut left = bytes;
+        while !left.is_empty() {
+            match self.opened.handle.write_bulk(endpoint, left, PATIENCE) {
+                Ok(0) => {
+                    return Err(self.opened.error("sending", rusb::Error::Timeout));
+                }
+                Ok(sent) => left = &left[sent.min(left.len())..],
+                Err(error) => return Err(self.opened.error("sending", error)),
+            }
+        }
+        Ok(())
+    }
+}

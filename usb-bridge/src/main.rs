@@ -1,0 +1,51 @@
+//! The `eecvs-usb` command.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use usb_bridge::cmd;
+
+/// Event cameras and the encoder's microcontroller on USB: capture, forward, simulate
+#[derive(Debug, Parser)]
+#[command(name = "eecvs-usb", version, arg_required_else_help = true)]
+struct EecvsUsb {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    List(cmd::list::List),
+    Capture(cmd::capture::Capture),
+    Forward(cmd::forward::Forward),
+    Receive(cmd::receive::Receive),
+    Simulate(cmd::simulate::Simulate),
+}
+
+fn main() -> ExitCode {
+    // Bad usage ends here, with exit status 2.
+    let result = match EecvsUsb::parse().command {
+        Command::List(command) => command.run(),
+        Command::Capture(command) => command.run(),
+        Command::Forward(command) => command.run(),
+        Command::Receive(command) => command.run(),
+        Command::Simulate(command) => command.run(),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("eecvs-usb: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Whether stdout's reader, such as `head`, has seen enough.
+fn is_closed_pipe(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        cause
+            .downcast_ref::<std::io::Error>()
+            .is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
+    })
+}

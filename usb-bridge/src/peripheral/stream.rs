@@ -1,0 +1,508 @@
+//! A recording as the bytes that a device sends, in its time.
+//!
+//! Event i, at t_i of the recording, is due at the time e since the stream was first asked:
+//!
+//! ```text
+//! as recorded, f times as fast   (t_i - t_0) / f <= e
+//! at a rate of R per second      i / R           <= e
+//! as fast as possible            always
+//! ```
+//!
+//! A host that is slower than that makes the stream late ([`Sent::late_us`]); it loses nothing, and no
+//! more than a batch of events and the words of [`WRITE_EVENTS`] wait in memory.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use eecvs_nostd::Event;
+use host_harness::formats::{BATCH_EVENTS, EventReader};
+
+use crate::device::{Due, Stream, WriteStream};
+
+/// Events that are turned into bytes at once.
+pub const WRITE_EVENTS: usize = 1024;
+
+/// A recording that begins before this keeps its own times: about 71 minutes on the device's clock.
+pub const OWN_TIME_MAX_US: u64 = 1 << 32;
+
+/// When events are due.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Pace {
+    /// As recorded, this many times as fast.
+    Recorded(f64),
+    /// This many events per second, evenly.
+    Rate(f64),
+    /// As fast as the host takes them.
+    Max,
+}
+
+impl std::str::FromStr for Pace {
+    type Err = String;
+
+    /// `real`, `max`, events per second as `N`, or a factor of the recorded speed as `Nx`.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let number = |digits: &str| {
+            let number: Option<f64> = digits.parse().ok();
+            number.filter(|number| number.is_finite() && *number > 0.0)
+        };
+        let pace = match text {
+            "real" => Some(Self::Recorded(1.0)),
+            "max" => Some(Self::Max),
+            _ => match text.strip_suffix('x') {
+                Some(factor) => number(factor).map(Self::Recorded),
+                None => number(text).map(Self::Rate),
+            },
+        };
+        pace.ok_or_else(|| "neither real, max, events per second, nor a factor such as 2x".into())
+    }
+}
+
+/// What a stream has sent so far; it may be read while the stream is in use.
+#[derive(Debug, Default)]
+pub struct Sent {
+    events: AtomicU64,
+    bytes: AtomicU64,
+    rounds: AtomicU64,
+    late_us: AtomicU64,
+    elapsed_us: AtomicU64,
+    first_us: OnceLock<(u64, u64)>,
+    error: OnceLock<String>,
+}
+
+impl Sent {
+    /// Events whose words were written.
+    #[must_use]
+    pub fn events(&self) -> u64 {
+        self.events.load(Ordering::Relaxed)
+    }
+
+    /// Bytes that were handed over.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Times that the recording came to its end.
+    #[must_use]
+    pub fn rounds(&self) -> u64 {
+        self.rounds.load(Ordering::Relaxed)
+    }
+
+    /// Longest time for which an event was due and not yet asked for, in microseconds.
+    #[must_use]
+    pub fn late_us(&self) -> u64 {
+        self.late_us.load(Ordering::Relaxed)
+    }
+
+    /// From the first question to the latest bytes.
+    #[must_use]
+    pub fn elapsed(&self) -> Duration {
+        Duration::from_micros(self.elapsed_us.load(Ordering::Relaxed))
+    }
+
+    /// Time of the first event in the recording and in the stream, in microseconds.
+    #[must_use]
+    pub fn first_us(&self) -> Option<(u64, u64)> {
+        self.first_us.get().copied()
+    }
+
+    /// Why the stream ended before its end.
+    #[must_use]
+    pub fn error(&self) -> Option<&str> {
+        self.error.get().map(String::as_str)
+    }
+}
+
+/// Opens the recording, each time anew.
+pub type Open = Box<dyn FnMut() -> Result<Box<dyn EventReader>> + Send>;
+
+/// A recording that a device sends.
+pub struct Recording {
+    open: Open,
+    reader: Option<Box<dyn EventReader>>,
+    writer: Box<dyn WriteStream>,
+    pace: Pace,
+    repeats: bool,
+    start_us: Option<u64>,
+    /// Events that were read, at the stream's times, from `next` on.
+    events: Vec<Event>,
+    next: usize,
+    /// Words that were written, from `given` on.
+    words: Vec<u8>,
+    given: usize,
+    /// First and latest time in the recording, of this round.
+    span: Option<(u64, u64)>,
+    /// Time in the stream of the recording's first event, in this round.
+    base_us: u64,
+    /// As it was in the first round, from which the pace counts.
+    origin_us: u64,
+    due: Due,
+    clock: Option<Instant>,
+    sent: Arc<Sent>,
+}
+
+impl Recording {
+    /// A stream of a recording; `start_us` is the time of its first event on the device's clock. Of
+    /// `None`, it is the recording's own where that is below [`OWN_TIME_MAX_US`], and otherwise 0.
+    #[must_use]
+    pub fn new(
+        open: Open,
+        writer: Box<dyn WriteStream>,
+        pace: Pace,
+        start_us: Option<u64>,
+    ) -> Self {
+        Self {
+            open,
+            reader: None,
+            writer,
+            pace,
+            repeats: false,
+            start_us,
+            events: Vec::with_capacity(BATCH_EVENTS),
+            next: 0,
+            words: Vec::new(),
+            given: 0,
+            span: None,
+            base_us: 0,
+            origin_us: 0,
+            due: Due::More,
+            clock: None,
+            sent: Arc::default(),
+        }
+    }
+
+    /// Begins anew at the end, 1 us after the latest event.
+    #[must_use]
+    pub fn repeat(mut self, repeats: bool) -> Self {
+        self.repeats = repeats;
+        self
+    }
+
+    /// What it has sent.
+    #[must_use]
+    pub fn sent(&self) -> Arc<Sent> {
+        Arc::clone(&self.sent)
+    }
+
+    /// As [`Stream::take`], `elapsed` after the stream's start.
+    ///
+    /// # Errors
+    /// The recording cannot be read, or an event has no place in the device's stream. The stream has
+    /// ended then.
+    pub fn take_at(&mut self, elapsed: Duration, room: usize, bytes: &mut Vec<u8>) -> Result<Due> {
+        let before = bytes.len();
+        let result = self.fill(elapsed, room, bytes);
+        if bytes.len() > before {
+            let elapsed_us = u64::try_from(elapsed.as_micros()).unwrap_or(u64::MAX);
+            self.sent.elapsed_us.store(elapsed_us, Ordering::Relaxed);
+        }
+        if let Err(error) = &result {
+            self.due = Due::Ended;
+            self.words.clear();
+            self.given = 0;
+            // The first error is the one that ended it.
+            let _ = self.sent.error.set(format!("{error:#}"));
+        }
+        result
+    }
+
+    fn fill(&mut self, elapsed: Duration, room: usize, bytes: &mut Vec<u8>) -> Result<Due> {
+        let end = bytes.len().saturating_add(room);
+        loop {
+            let waiting = &self.words[self.given..];
+            let length = waiting.len().min(end - bytes.len());
+            bytes.extend_from_slice(&waiting[..length]);
+            self.given += length;
+            self.sent.bytes.fetch_add(length as u64, Ordering::Relaxed);
+            if self.given < self.words.len() {
+                return Ok(Due::More);
+            }
+            self.words.clear();
+            self.given = 0;
+            if self.due == Due::Ended || bytes.len() == end {
+                return Ok(self.due);
+            }
+            if self.next == self.events.len() && !self.read()? {
+                continue;
+            }
+            let count = self.count_due(elapsed);
+            if count == 0 {
+                return Ok(Due::More);
+            }
+            let events = &self.events[self.next..self.next + count];
+            self.writer.write(events, &mut self.words)?;
+            self.next += count;
+            self.sent.events.fetch_add(count as u64, Ordering::Relaxed);
+        }
+    }
+
+    /// Reads the next events; `false` at an end, where there may be words that close the stream.
+    fn read(&mut self) -> Result<bool> {
+        self.events.clear();
+        self.next = 0;
+        let reader = match &mut self.reader {
+            Some(reader) => reader,
+            None => self.reader.insert((self.open)()?),
+        };
+        if reader.read(&mut self.events)? > 0 {
+            return self.shift().map(|()| true);
+        }
+        self.reader = None;
+        self.sent.rounds.fetch_add(1, Ordering::Relaxed);
+        match self.span.take() {
+            // Of an empty recording, no repetition has an end.
+            Some((first, latest)) if self.repeats => {
+                self.base_us = self.base_us.saturating_add(latest - first + 1);
+            }
+            _ => {
+                self.writer.finish(&mut self.words)?;
+                self.due = Due::Ended;
+            }
+        }
+        Ok(false)
+    }
+
+    /// Puts the events that were just read at their times in the stream.
+    fn shift(&mut self) -> Result<()> {
+        let Some(event) = self.events.first() else {
+            return Ok(());
+        };
+        let (first, mut latest) = *self.span.get_or_insert((event.t_us, event.t_us));
+        if self.sent.first_us.get().is_none() {
+            let own = if first < OWN_TIME_MAX_US { first } else { 0 };
+            self.origin_us = self.start_us.unwrap_or(own);
+            self.base_us = self.origin_us;
+            // Nobody else sets it.
+            let _ = self.sent.first_us.set((first, self.origin_us));
+        }
+        for event in &mut self.events {
+            latest = latest.max(event.t_us);
+            let shifted = i128::from(event.t_us) - i128::from(first) + i128::from(self.base_us);
+            event.t_us = u64::try_from(shifted).ok().with_context(|| {
+                format!(
+                    "event at {} us: before the device's time 0: the first event of the \
+                     recording needs a later start",
+                    event.t_us
+                )
+            })?;
+        }
+        self.span = Some((first, latest));
+        Ok(())
+    }
+
+    /// How many of the next events are due, at most [`WRITE_EVENTS`].
+    fn count_due(&self, elapsed: Duration) -> usize {
+        let events = &self.events[self.next..];
+        let events = &events[..events.len().min(WRITE_EVENTS)];
+        match self.pace {
+            Pace::Max => events.len(),
+            Pace::Rate(rate) => {
+                let all = (elapsed.as_secs_f64() * rate) as u64;
+                let late = all.saturating_sub(self.sent.events());
+                self.note_late(late as f64 / rate * 1e6);
+                usize::try_from(late)
+                    .unwrap_or(usize::MAX)
+                    .min(events.len())
+            }
+            Pace::Recorded(factor) => {
+                let passed = elapsed.as_secs_f64() * 1e6 * factor;
+                let now = self.origin_us.saturating_add(passed as u64);
+                if let Some(first) = events.first() {
+                    self.note_late(now.saturating_sub(first.t_us) as f64 / factor);
+                }
+                events.iter().take_while(|event| event.t_us <= now).count()
+            }
+        }
+    }
+
+    fn note_late(&self, late_us: f64) {
+        self.sent
+            .late_us
+            .fetch_max(late_us as u64, Ordering::Relaxed);
+    }
+}
+
+impl Stream for Recording {
+    fn take(&mut self, room: usize, bytes: &mut Vec<u8>) -> Result<Due> {
+        let elapsed = self.clock.get_or_insert_with(Instant::now).elapsed();
+        self.take_at(elapsed, room, bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_nostd::{Polarity, Sensor};
+    use host_harness::formats::Skipped;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    struct Reader {
+        times: Vec<u64>,
+        skipped: Skipped,
+    }
+
+    impl EventReader for Reader {
+        fn format(&self) -> &'static str {
+            "test"
+        }
+        fn sensor(&self) -> Sensor {
+            Sensor::new(4, 4).expect("a sensor")
+        }
+        fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+            let length = self.times.len().min(3);
+            events.extend(self.times.drain(..length).map(|t_us| Event {
+                t_us,
+                x: 0,
+                y: 0,
+                polarity: Polarity::On,
+            }));
+            Ok(length)
+        }
+        fn skipped(&self) -> &Skipped {
+            &self.skipped
+        }
+    }
+
+    /// Eight bytes for every time, and 0xEE at the end; refuses the time 666,666.
+    struct Writer;
+
+    impl WriteStream for Writer {
+        fn write(&mut self, events: &[Event], bytes: &mut Vec<u8>) -> Result<()> {
+            for event in events {
+                anyhow::ensure!(event.t_us != 666_666, "event at 666666 us");
+                bytes.extend(event.t_us.to_le_bytes());
+            }
+            Ok(())
+        }
+        fn finish(&mut self, bytes: &mut Vec<u8>) -> Result<()> {
+            bytes.push(0xEE);
+            Ok(())
+        }
+    }
+
+    fn recording(times: &[u64], pace: Pace, start_us: Option<u64>) -> Recording {
+        let times = times.to_vec();
+        let open = Box::new(move || {
+            Ok(Box::new(Reader {
+                times: times.clone(),
+                skipped: Skipped::default(),
+            }) as Box<dyn EventReader>)
+        });
+        Recording::new(open, Box::new(Writer), pace, start_us)
+    }
+
+    fn times(bytes: &[u8]) -> Vec<u64> {
+        let words = bytes.chunks_exact(8);
+        words
+            .map(|word| u64::from_le_bytes(word.try_into().expect("eight")))
+            .collect()
+    }
+
+    const AT: fn(u64) -> Duration = Duration::from_micros;
+
+    #[test]
+    fn events_are_due_in_their_time() {
+        let all = [100, 110, 130, 150, 150];
+        for (pace, at, due) in [
+            (Pace::Recorded(1.0), 0, 1),
+            (Pace::Recorded(1.0), 29, 2),
+            (Pace::Recorded(1.0), 30, 3),
+            (Pace::Recorded(10.0), 3, 3),
+            (Pace::Recorded(1.0), 50, 5),
+            (Pace::Rate(1e6), 0, 0),
+            (Pace::Rate(1e6), 4, 4),
+            (Pace::Rate(1e6), 400, 5),
+            (Pace::Max, 0, 5),
+        ] {
+            let mut bytes = Vec::new();
+            let mut stream = recording(&all, pace, None);
+            let more = stream.take_at(AT(at), 1000, &mut bytes).expect("good");
+            assert_eq!(times(&bytes), all[..due], "{pace:?} after {at} us");
+            assert_eq!(more == Due::Ended, due == 5);
+            assert_eq!(bytes.last() == Some(&0xEE), due == 5);
+        }
+    }
+
+    #[test]
+    fn a_repeated_recording_goes_on_in_time_and_an_empty_one_ends() {
+        let mut bytes = Vec::new();
+        let mut stream = recording(&[1 << 50, (1 << 50) + 9], Pace::Max, None).repeat(true);
+        assert_eq!(
+            stream.take_at(AT(0), 48, &mut bytes).expect("good"),
+            Due::More
+        );
+        assert_eq!(times(&bytes), [0, 9, 10, 19, 20, 29]);
+        assert_eq!(stream.sent().first_us(), Some((1 << 50, 0)));
+        let mut stream = recording(&[], Pace::Max, None).repeat(true);
+        assert_eq!(
+            stream.take_at(AT(0), 48, &mut bytes).expect("good"),
+            Due::Ended
+        );
+    }
+
+    #[test]
+    fn times_begin_where_they_were_asked_to() {
+        let mut bytes = Vec::new();
+        let mut stream = recording(&[50, 40, 60], Pace::Max, Some(1 << 40));
+        stream.take_at(AT(0), 24, &mut bytes).expect("good");
+        assert_eq!(times(&bytes), [1 << 40, (1 << 40) - 10, (1 << 40) + 10]);
+        let mut stream = recording(&[50, 40, 60], Pace::Max, Some(0));
+        assert!(stream.take_at(AT(0), 24, &mut bytes).is_err());
+    }
+
+    #[test]
+    fn an_error_ends_the_stream_and_is_kept() {
+        let mut bytes = Vec::new();
+        let mut stream = recording(&[1, 2, 3, 666_666, 4], Pace::Max, None);
+        assert!(stream.take_at(AT(0), 1000, &mut bytes).is_err());
+        assert_eq!(stream.sent().error(), Some("event at 666666 us"));
+        assert_eq!(
+            stream.take_at(AT(0), 1000, &mut bytes).expect("ended"),
+            Due::Ended
+        );
+    }
+
+    #[test]
+    fn paces_are_read_and_nonsense_is_refused() {
+        assert_eq!("real".parse(), Ok(Pace::Recorded(1.0)));
+        assert_eq!("0.5x".parse(), Ok(Pace::Recorded(0.5)));
+        assert_eq!("1e6".parse(), Ok(Pace::Rate(1e6)));
+        assert_eq!("max".parse(), Ok(Pace::Max));
+        for text in ["", "x", "0", "-1", "nan", "infx", "fast", "1 x"] {
+            assert!(text.parse::<Pace>().is_err(), "{text}");
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(128))]
+        #[test]
+        fn any_room_at_any_time_gives_the_same_bytes(
+            steps in prop::collection::vec(0_u64..50, 0..40),
+            mut rooms in prop::collection::vec(0_usize..40, 0..20),
+            factor in 0.1..20.0_f64,
+        ) {
+            let mut t = 0;
+            let all: Vec<u64> = steps.iter().map(|step| { t += step; t }).collect();
+            rooms.push(9);
+            let mut whole = Vec::new();
+            recording(&all, Pace::Max, None).take_at(AT(0), usize::MAX / 2, &mut whole).unwrap();
+            let mut bytes = Vec::new();
+            let mut stream = recording(&all, Pace::Recorded(factor), None);
+            let mut ended = false;
+            for (turn, room) in rooms.iter().cycle().enumerate().take(30_000) {
+                let before = bytes.len();
+                let due = stream.take_at(AT(turn as u64), *room, &mut bytes).unwrap();
+                prop_assert!(bytes.len() - before <= *room);
+                if due == Due::Ended {
+                    ended = true;
+                    break;
+                }
+            }
+            prop_assert!(ended);
+            prop_assert_eq!(bytes, whole);
+        }
+    }
+}

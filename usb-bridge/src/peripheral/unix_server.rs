@@ -1,0 +1,75 @@
+//! A Unix socket at which QEMU finds a simulated device.
+
+use std::io::ErrorKind;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+
+use anyhow::{Context, Result};
+
+use super::server::{LOOK, Service, is_later};
+use super::socket::{self, Change};
+use super::usbredir::UsbRedir;
+
+/// A Unix socket that hosts connect to; its file is removed with it.
+pub struct UnixServer {
+    listener: UnixListener,
+    path: PathBuf,
+}
+
+impl UnixServer {
+    /// Listens at `path`; a socket there that nobody listens at is replaced.
+    ///
+    /// # Errors
+    /// Something else is there, or the folder cannot be written.
+    pub fn listen(path: &Path) -> Result<Self> {
+        let name = path.display();
+        let is_dead = || {
+            UnixStream::connect(path)
+                .is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused)
+        };
+        if path.exists() && is_dead() {
+            std::fs::remove_file(path).with_context(|| format!("{name}: cannot be replaced"))?;
+        }
+        let listener = UnixListener::bind(path)
+            .with_context(|| format!("{name}: cannot be listened at; use a path that is free"))?;
+        let path = path.to_owned();
+        listener.set_nonblocking(true).context("socket")?;
+        Ok(Self { listener, path })
+    }
+
+    /// Serves one host after the other over usbredir.
+    ///
+    /// # Errors
+    /// As for [`super::server::serve_usbip`].
+    pub fn serve_usbredir(&self, service: &mut Service<'_>) -> Result<()> {
+        let stop = service.stop;
+        let stopped = || stop.load(Ordering::Relaxed);
+        while !stopped() {
+            let mut socket = match self.listener.accept() {
+                Ok((socket, _)) => socket,
+                Err(error) if is_later(&error) => {
+                    std::thread::sleep(LOOK);
+                    continue;
+                }
+                Err(error) => return Err(error).context(self.path.display().to_string()),
+            };
+            let mut session = UsbRedir::with((service.device)()?);
+            let served = socket::serve(&mut socket, &mut session, &mut || {
+                stopped().then_some(Change::End)
+            });
+            (service.left)(&served);
+            if service.once {
+                return served.map(|_| ());
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Drop for UnixServer {
+    fn drop(&mut self) {
+        // Where it is gone already, there is nothing to do.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
