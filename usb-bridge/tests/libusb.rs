@@ -188,7 +188,7 @@ fn a_device_is_found_asked_and_told() {
         told.contains("is connected at 480 Mbit/s; it needs USB 3"),
         "{told}"
     );
-    assert!(matches!(attached.try_use(0), (Use::Free, Some(_))));
+    assert_eq!(Use::of(&attached.try_open(0)), Use::Free);
 
     let device = attached.open(0).unwrap();
     let mut control = device.control();
@@ -205,6 +205,14 @@ fn a_device_is_found_asked_and_told() {
     let request = Request::vendor_in(0x72, 0, 0);
     let length = control.control_in(request, &mut told).unwrap();
     assert_eq!(&told[..length], b"!E2\nE+\n");
+    let none = Transfers {
+        endpoint: 0x81,
+        ..TRANSFERS
+    };
+    assert_eq!(
+        device.stream(&none).err().unwrap().to_string(),
+        "usb 1-4 152a:8419: has no bulk endpoint 0x81: another model, or another firmware"
+    );
     let refused = control.control_out(Request::vendor_out(0x99, 7, 0), &[]);
     assert_eq!(
         refused.unwrap_err().to_string(),
@@ -245,6 +253,30 @@ fn every_byte_comes_in_order_and_the_stop_loses_none() {
         .control_in(Request::vendor_in(NUMBER, 0, 0), &mut number)
         .unwrap();
     assert_eq!(got.len(), u32::from_le_bytes(number) as usize);
+}
+
+#[test]
+fn transfers_are_whole_packets() {
+    if !under_umockdev() {
+        return mocked("transfers_are_whole_packets", |_| {}, |_| {});
+    }
+    let device = attached().open(0).unwrap();
+    let mut control = device.control();
+    let transfers = Transfers {
+        bytes: 1000,
+        ..TRANSFERS
+    };
+    let mut link = device.stream(&transfers).unwrap();
+    control
+        .control_out(Request::vendor_out(START, 0, 0), &[])
+        .unwrap();
+    let mut longest = 0;
+    for _ in 0..10 {
+        if let Received::Bytes { bytes, .. } = link.receive(Duration::from_secs(1)).unwrap() {
+            longest = longest.max(bytes.len());
+        }
+    }
+    assert_eq!(longest, 1024);
 }
 
 #[test]
@@ -452,7 +484,7 @@ fn a_device_in_use_is_left_alone() {
         );
     }
     let attached = attached();
-    assert!(matches!(attached.try_use(0), (Use::Taken, None)));
+    assert_eq!(Use::of(&attached.try_open(0)), Use::Taken);
     assert_eq!(
         attached.open(0).unwrap_err().to_string(),
         "usb 1-4 152a:8419: in use by another program or driver; stop that one first"
@@ -465,7 +497,7 @@ fn a_device_without_permission_says_which_rule_to_install() {
     if under_umockdev() {
         let attached = attached();
         assert_eq!(attached.serial.as_deref(), Some("C0001"));
-        assert!(matches!(attached.try_use(0), (Use::Forbidden, None)));
+        assert_eq!(Use::of(&attached.try_open(0)), Use::Forbidden);
         let told = attached.open(0).unwrap_err().to_string();
         assert!(
             told.contains(
@@ -547,6 +579,12 @@ fn removals_are_told() {
         assert!(host.wait().unwrap().success());
         return;
     }
+    // The kernel's announcements have no way through the mock; what is there already is told.
+    let mut told = Watch::new().unwrap();
+    let change = told.next(Duration::from_secs(5)).unwrap();
+    assert!(matches!(change, Some(Change::Arrived(attached)) if attached.id() == "usb:1-4"));
+    assert!(told.next(Duration::from_millis(10)).unwrap().is_none());
+    drop(told);
     let mut watch = Watch::polling();
     let change = watch.next(Duration::from_secs(5)).unwrap();
     let Some(Change::Arrived(attached)) = change else {
