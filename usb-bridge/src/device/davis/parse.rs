@@ -11,7 +11,7 @@
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
-use crate::device::inivation::parser::{Reader, State, WordParser};
+use crate::device::inivation::parser::{Reader, State, Word, WordParser};
 use crate::device::inivation::tally::Count;
 use crate::device::inivation::words16;
 
@@ -55,12 +55,13 @@ impl Reader for Rows {
     const EVENTS: usize = 1;
 
     #[inline(always)]
-    fn word(&mut self, word: u32, state: &mut State, events: &mut Vec<Event>) {
-        if word & u32::from(words16::TIME) != 0 {
+    fn word(&mut self, word: Word, state: &mut State, events: &mut Vec<Event>) -> bool {
+        let bits = word.bits;
+        if bits & u32::from(words16::TIME) != 0 {
             return words16::time(word, state);
         }
-        let data = word & 0xFFF;
-        match word >> 12 {
+        let data = bits & 0xFFF;
+        match bits >> 12 {
             2 | 3 if data < self.columns && self.row != NONE => {
                 let (x, y) = if self.inverted {
                     (self.row, data)
@@ -71,12 +72,13 @@ impl Reader for Rows {
                     t_us: state.clock.now(),
                     x: x as u16,
                     y: y as u16,
-                    polarity: Polarity::from_bool(word & 0x1000 != 0),
+                    polarity: Polarity::from_bool(bits & 0x1000 != 0),
                 });
+                true
             }
             1 if data < self.rows && state.clock.is_known() => {
                 self.row = data;
-                state.tally.add(Count::Rows);
+                state.count(Count::Rows)
             }
             _ => self.other(word, state),
         }
@@ -89,15 +91,15 @@ impl Reader for Rows {
 
 impl Rows {
     #[cold]
-    fn other(&mut self, word: u32, state: &mut State) {
-        let data = word & 0xFFF;
-        match word >> 12 {
-            1 if data >= self.rows => state.strange(Count::RowsOutside),
-            1 => state.tally.add(Count::WithoutTime),
-            2 | 3 if data >= self.columns => state.strange(Count::ColumnsOutside),
-            2 | 3 if state.clock.is_known() => state.tally.add(Count::WithoutPlace),
-            2 | 3 => state.tally.add(Count::WithoutTime),
-            4 => state.tally.add(Count::Samples),
+    fn other(&mut self, word: Word, state: &mut State) -> bool {
+        let data = word.bits & 0xFFF;
+        match word.bits >> 12 {
+            1 if data >= self.rows => state.strange(Count::RowsOutside, word),
+            1 => state.count(Count::WithoutTime),
+            2 | 3 if data >= self.columns => state.strange(Count::ColumnsOutside, word),
+            2 | 3 if state.clock.is_known() => state.count(Count::WithoutPlace),
+            2 | 3 => state.count(Count::WithoutTime),
+            4 => state.count(Count::Samples),
             _ => words16::other(word, state),
         }
     }
