@@ -32,7 +32,7 @@ impl DvxplorerParser {
         let reader = Columns {
             columns: columns.into(),
             groups: Groups::new(rows.into()),
-            inverted,
+            column_shift: if inverted { 16 } else { 0 },
             column: NONE,
             pair: [Group::NONE; 2],
         };
@@ -48,7 +48,8 @@ const NONE: u32 = u32::MAX;
 pub struct Columns {
     columns: u32,
     groups: Groups,
-    inverted: bool,
+    /// Where a column belongs in y << 16 | x: 16 where the logic calls columns rows.
+    column_shift: u32,
     /// Column of what follows.
     column: u32,
     /// Groups of what follows.
@@ -68,27 +69,23 @@ impl Reader for Columns {
         match bits >> 12 {
             code @ (2 | 3) => {
                 let group = self.pair[(3 - code) as usize];
-                if self.column == NONE || group.inside == 0 {
+                if self.column == NONE || group == Group::NONE {
                     return without(state);
                 }
-                let inside = u32::from(group.inside);
-                if bits & 0xFF & !inside != 0 {
-                    outside(bits & 0xFF & !inside, state);
+                if bits & 0xFF & !group.inside() != 0 {
+                    outside(bits & 0xFF & !group.inside(), state);
                 }
                 let t_us = state.clock.now();
                 let polarity = Polarity::from_bool(bits & 0x100 == 0);
-                let mut mask = bits & inside;
+                let column = self.column << self.column_shift;
+                let mut mask = bits & group.inside();
                 while mask != 0 {
-                    let row = group.row + mask.trailing_zeros() as u16;
-                    let (x, y) = if self.inverted {
-                        (row, self.column as u16)
-                    } else {
-                        (self.column as u16, row)
-                    };
+                    let row = group.row() + mask.trailing_zeros();
+                    let place = column | row << (16 - self.column_shift);
                     events.push(Event {
                         t_us,
-                        x,
-                        y,
+                        x: place as u16,
+                        y: (place >> 16) as u16,
                         polarity,
                     });
                     mask &= mask - 1;
@@ -115,7 +112,7 @@ impl Reader for Columns {
                     first.wrapping_sub(distance)
                 };
                 let pair = [self.groups.get(first), self.groups.get(second)];
-                if pair[0].inside == 0 || pair[1].inside == 0 {
+                if pair.contains(&Group::NONE) {
                     return state.strange(Count::GroupsOutside, word);
                 }
                 self.pair = pair;

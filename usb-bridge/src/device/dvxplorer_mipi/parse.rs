@@ -95,10 +95,10 @@ impl Reader for Frames {
         let first = bits >> 18 & 0x3F;
         let second = first + (bits >> 26 & 0x1F);
         let (first, second) = (self.groups.get(first), self.groups.get(second));
-        if first.inside == 0 || second.inside == 0 {
+        if first == Group::NONE || second == Group::NONE {
             return state.strange(Count::GroupsOutside, word);
         }
-        let inside = u32::from(first.inside) | u32::from(second.inside) << 8;
+        let inside = first.inside() | second.inside() << 8;
         if bits & 0xFFFF & !inside != 0 {
             outside(bits & 0xFFFF & !inside, state);
         }
@@ -107,7 +107,7 @@ impl Reader for Frames {
                 events.push(Event {
                     t_us: self.t_us,
                     x: self.column as u16,
-                    y: group.row + mask.trailing_zeros() as u16,
+                    y: (group.row() + mask.trailing_zeros()) as u16,
                     polarity: Polarity::from_bool(off == 0),
                 });
                 mask &= mask - 1;

@@ -1,17 +1,25 @@
 //! Groups of 8 rows, by their number.
 
-/// 8 rows of a column.
-#[derive(Debug, Clone, Copy)]
-pub struct Group {
-    /// First row.
-    pub row: u16,
-    /// Which of the rows there are: the last group may have fewer, one beyond the last has none.
-    pub inside: u16,
-}
+/// 8 rows of a column: the first one * 2^16, and a bit for each of them that there is. The last group
+/// may have fewer, one beyond the last has none and is 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Group(u32);
 
 impl Group {
     /// No group.
-    pub const NONE: Self = Self { row: 0, inside: 0 };
+    pub const NONE: Self = Self(0);
+
+    /// First row.
+    #[inline(always)]
+    pub const fn row(self) -> u32 {
+        self.0 >> 16
+    }
+
+    /// Which of the rows there are.
+    #[inline(always)]
+    pub const fn inside(self) -> u32 {
+        self.0 & 0xFF
+    }
 }
 
 /// Numbers that a word can hold: 6 bits, and up to 31 above or below.
@@ -32,10 +40,7 @@ impl Groups {
             } else {
                 (1 << (rows - row)) - 1
             };
-            *group = Group {
-                row: row as u16,
-                inside,
-            };
+            *group = Group(row << 16 | inside);
         }
         Self(groups)
     }

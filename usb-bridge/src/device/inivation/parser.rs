@@ -142,9 +142,14 @@ impl<R: Reader> WordParser<R> {
         let first = self.state.words;
         let mut number = first;
         for word in bytes.chunks_exact(R::WORD) {
+            // Whole, not byte by byte: every load counts.
             let bits = match R::WORD {
-                2 => u32::from(u16::from_le_bytes([word[0], word[1]])),
-                _ => u32::from_le_bytes([word[0], word[1], word[2], word[3]]),
+                2 => word
+                    .first_chunk()
+                    .map_or(0, |word| u16::from_le_bytes(*word).into()),
+                _ => word
+                    .first_chunk()
+                    .map_or(0, |word| u32::from_le_bytes(*word)),
             };
             let word = Word { bits, number };
             number += 1;
