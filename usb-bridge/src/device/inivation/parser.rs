@@ -180,7 +180,7 @@ impl<R: Reader> Parse for WordParser<R> {
         while !bytes.is_empty() {
             let used = if let Some(clock) = self.state.realign.take() {
                 self.state.clock = clock;
-                self.state.clock.lose(None);
+                self.state.clock.lose_misaligned();
                 self.reader.forget();
                 self.state.tally.add(Count::BytesMisaligned);
                 1
