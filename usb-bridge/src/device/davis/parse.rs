@@ -11,7 +11,7 @@
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
-use crate::device::inivation::parser::{Reader, State, WordParser};
+use crate::device::inivation::parser::{Reader, State, Word, WordParser};
 use crate::device::inivation::tally::Count;
 use crate::device::inivation::words16;
 
@@ -31,23 +31,31 @@ impl DavisParser {
         let reader = Rows {
             columns: columns.into(),
             rows: rows.into(),
-            inverted,
-            row: NONE,
+            columns_known: 0,
+            row_place: 0,
+            column_shift: if inverted { 16 } else { 0 },
         };
         Self::new(reader, sensor, words16::TIME_BITS)
     }
 }
 
-/// No row is known.
-const NONE: u32 = u32::MAX;
+/// Bits 15..13 of an event.
+const EVENT: u32 = 1;
+
+/// Bits 15..12 of a row.
+const ROW: u32 = 1;
 
 /// Reads rows and their columns.
 #[derive(Debug)]
 pub struct Rows {
     columns: u32,
     rows: u32,
-    inverted: bool,
-    row: u32,
+    /// Columns, or 0 while no row is known.
+    columns_known: u32,
+    /// The row where it belongs in y << 16 | x.
+    row_place: u32,
+    /// Where a column belongs: 16 where the logic calls columns rows.
+    column_shift: u32,
 }
 
 impl Reader for Rows {
@@ -55,49 +63,47 @@ impl Reader for Rows {
     const EVENTS: usize = 1;
 
     #[inline(always)]
-    fn word(&mut self, word: u32, state: &mut State, events: &mut Vec<Event>) {
-        if word & u32::from(words16::TIME) != 0 {
+    fn word(&mut self, word: Word, state: &mut State, events: &mut Vec<Event>) -> bool {
+        let bits = word.bits;
+        if bits & u32::from(words16::TIME) != 0 {
             return words16::time(word, state);
         }
-        let data = word & 0xFFF;
-        match word >> 12 {
-            2 | 3 if data < self.columns && self.row != NONE => {
-                let (x, y) = if self.inverted {
-                    (self.row, data)
-                } else {
-                    (data, self.row)
-                };
-                events.push(Event {
-                    t_us: state.clock.now(),
-                    x: x as u16,
-                    y: y as u16,
-                    polarity: Polarity::from_bool(word & 0x1000 != 0),
-                });
-            }
-            1 if data < self.rows && state.clock.is_known() => {
-                self.row = data;
-                state.tally.add(Count::Rows);
-            }
-            _ => self.other(word, state),
+        let data = bits & 0xFFF;
+        // Both polarities in one branch: which of them comes cannot be predicted.
+        if bits >> 13 == EVENT && data < self.columns_known {
+            let place = self.row_place | data << self.column_shift;
+            events.push(Event {
+                t_us: state.clock.now(),
+                x: place as u16,
+                y: (place >> 16) as u16,
+                polarity: Polarity::from_bool(bits & 0x1000 != 0),
+            });
+            return true;
         }
+        if bits >> 12 == ROW && data < self.rows && state.clock.is_known() {
+            self.row_place = data << (16 - self.column_shift);
+            self.columns_known = self.columns;
+            return state.count(Count::Rows);
+        }
+        self.other(word, state)
     }
 
     fn forget(&mut self) {
-        self.row = NONE;
+        self.columns_known = 0;
     }
 }
 
 impl Rows {
     #[cold]
-    fn other(&mut self, word: u32, state: &mut State) {
-        let data = word & 0xFFF;
-        match word >> 12 {
-            1 if data >= self.rows => state.strange(Count::RowsOutside),
-            1 => state.tally.add(Count::WithoutTime),
-            2 | 3 if data >= self.columns => state.strange(Count::ColumnsOutside),
-            2 | 3 if state.clock.is_known() => state.tally.add(Count::WithoutPlace),
-            2 | 3 => state.tally.add(Count::WithoutTime),
-            4 => state.tally.add(Count::Samples),
+    fn other(&mut self, word: Word, state: &mut State) -> bool {
+        let data = word.bits & 0xFFF;
+        match word.bits >> 12 {
+            1 if data >= self.rows => state.strange(Count::RowsOutside, word),
+            1 => state.count(Count::WithoutTime),
+            2 | 3 if data >= self.columns => state.strange(Count::ColumnsOutside, word),
+            2 | 3 if state.clock.is_known() => state.count(Count::WithoutPlace),
+            2 | 3 => state.count(Count::WithoutTime),
+            4 => state.count(Count::Samples),
             _ => words16::other(word, state),
         }
     }

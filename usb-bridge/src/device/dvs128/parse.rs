@@ -16,7 +16,7 @@
 use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::SENSOR;
-use crate::device::inivation::parser::{Reader, State, WordParser};
+use crate::device::inivation::parser::{Reader, State, Word, WordParser};
 use crate::device::inivation::tally::Count;
 
 /// Bits of time in a record.
@@ -42,24 +42,25 @@ impl Reader for Records {
     const EVENTS: usize = 1;
 
     #[inline(always)]
-    fn word(&mut self, word: u32, state: &mut State, events: &mut Vec<Event>) {
-        if word >> 30 != 0 {
+    fn word(&mut self, word: Word, state: &mut State, events: &mut Vec<Event>) -> bool {
+        let bits = word.bits;
+        if bits >> 30 != 0 {
             return mark(word, state);
         }
-        let low = u64::from(word >> 16);
-        if !state.clock.take(low) {
-            state.settle(low);
-        }
-        if word & 0x8000 != 0 {
-            return state.tally.add(Count::Inputs);
+        let low = u64::from(bits >> 16);
+        let goes_on = state.clock.take(low) || state.settle(low, word);
+        if bits & 0x8000 != 0 {
+            state.tally.add(Count::Inputs);
+            return goes_on;
         }
         let Sensor { width, height } = SENSOR;
         events.push(Event {
             t_us: state.clock.now(),
-            x: (width - 1) - (word >> 1 & 0x7F) as u16,
-            y: (height - 1) - (word >> 8 & 0x7F) as u16,
-            polarity: Polarity::from_bool(word & 1 == 0),
+            x: (width - 1) - (bits >> 1 & 0x7F) as u16,
+            y: (height - 1) - (bits >> 8 & 0x7F) as u16,
+            polarity: Polarity::from_bool(bits & 1 == 0),
         });
+        goes_on
     }
 
     fn forget(&mut self) {}
@@ -67,14 +68,14 @@ impl Reader for Records {
 
 /// Takes a wrap or a reset.
 #[cold]
-fn mark(word: u32, state: &mut State) {
-    if word >> 31 != 0 {
+fn mark(word: Word, state: &mut State) -> bool {
+    if word.bits >> 31 != 0 {
         state.clock.wrap(1);
-        state.tally.add(Count::Wraps);
-    } else {
-        // One comes when somebody asks for it; several in a row only from misaligned records.
-        state.strike();
-        state.clock.reset();
-        state.tally.add(Count::Resets);
+        return state.count(Count::Wraps);
     }
+    // One comes when somebody asks for it; several in a row only from misaligned records.
+    let goes_on = state.strike(word);
+    state.clock.reset();
+    state.tally.add(Count::Resets);
+    goes_on
 }

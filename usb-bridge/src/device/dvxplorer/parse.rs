@@ -11,7 +11,8 @@
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
-use crate::device::inivation::parser::{Reader, State, WordParser};
+use crate::device::inivation::groups::{Group, Groups};
+use crate::device::inivation::parser::{Reader, State, Word, WordParser};
 use crate::device::inivation::tally::Count;
 use crate::device::inivation::words16;
 
@@ -30,10 +31,10 @@ impl DvxplorerParser {
         };
         let reader = Columns {
             columns: columns.into(),
-            rows: rows.into(),
-            inverted,
+            groups: Groups::new(rows.into()),
+            column_shift: if inverted { 16 } else { 0 },
             column: NONE,
-            groups: [Group::NONE; 2],
+            pair: [Group::NONE; 2],
         };
         Self::new(reader, sensor, words16::TIME_BITS)
     }
@@ -42,43 +43,17 @@ impl DvxplorerParser {
 /// No column is known.
 const NONE: u32 = u32::MAX;
 
-/// 8 rows of a column.
-#[derive(Debug, Clone, Copy)]
-pub struct Group {
-    /// First row.
-    pub row: u16,
-    /// Which of the rows there are: the last group may have fewer.
-    pub inside: u32,
-}
-
-impl Group {
-    /// No group is known.
-    pub const NONE: Self = Self { row: 0, inside: 0 };
-
-    /// Group number `group` of `rows`; `None` where it is beyond the last.
-    #[inline(always)]
-    pub fn new(group: u32, rows: u32) -> Option<Self> {
-        let row = group.checked_mul(8).filter(|row| *row < rows)?;
-        let inside = if rows - row >= 8 {
-            0xFF
-        } else {
-            (1 << (rows - row)) - 1
-        };
-        Some(Self {
-            row: row as u16,
-            inside,
-        })
-    }
-}
-
 /// Reads columns and their groups.
 #[derive(Debug)]
 pub struct Columns {
     columns: u32,
-    rows: u32,
-    inverted: bool,
+    groups: Groups,
+    /// Where a column belongs in y << 16 | x: 16 where the logic calls columns rows.
+    column_shift: u32,
+    /// Column of what follows.
     column: u32,
-    groups: [Group; 2],
+    /// Groups of what follows.
+    pair: [Group; 2],
 }
 
 impl Reader for Columns {
@@ -86,65 +61,62 @@ impl Reader for Columns {
     const EVENTS: usize = 8;
 
     #[inline(always)]
-    fn word(&mut self, word: u32, state: &mut State, events: &mut Vec<Event>) {
-        if word & u32::from(words16::TIME) != 0 {
+    fn word(&mut self, word: Word, state: &mut State, events: &mut Vec<Event>) -> bool {
+        let bits = word.bits;
+        if bits & u32::from(words16::TIME) != 0 {
             return words16::time(word, state);
         }
-        match word >> 12 {
+        match bits >> 12 {
             code @ (2 | 3) => {
-                let group = self.groups[(3 - code) as usize];
-                if self.column == NONE || group.inside == 0 {
-                    return self.without(state);
+                let group = self.pair[(3 - code) as usize];
+                if self.column == NONE || group == Group::NONE {
+                    return without(state);
                 }
-                state.tally.add(Count::Masks);
-                if word & 0xFF & !group.inside != 0 {
-                    outside(word & 0xFF & !group.inside, state);
+                if bits & 0xFF & !group.inside() != 0 {
+                    outside(bits & 0xFF & !group.inside(), state);
                 }
                 let t_us = state.clock.now();
-                let polarity = Polarity::from_bool(word & 0x100 == 0);
-                let mut mask = word & group.inside;
+                let polarity = Polarity::from_bool(bits & 0x100 == 0);
+                let column = self.column << self.column_shift;
+                let mut mask = bits & group.inside();
                 while mask != 0 {
-                    let row = group.row + mask.trailing_zeros() as u16;
-                    let (x, y) = if self.inverted {
-                        (row, self.column as u16)
-                    } else {
-                        (self.column as u16, row)
-                    };
+                    let row = group.row() + mask.trailing_zeros();
+                    let place = column | row << (16 - self.column_shift);
                     events.push(Event {
                         t_us,
-                        x,
-                        y,
+                        x: place as u16,
+                        y: (place >> 16) as u16,
                         polarity,
                     });
                     mask &= mask - 1;
                 }
+                state.count(Count::Masks)
             }
             1 => {
-                let column = word & 0x3FF;
+                let column = bits & 0x3FF;
                 if column >= self.columns {
-                    state.strange(Count::ColumnsOutside);
+                    state.strange(Count::ColumnsOutside, word)
                 } else if state.clock.is_known() {
                     self.column = column;
-                    state.tally.add(Count::Columns);
+                    state.count(Count::Columns)
                 } else {
-                    state.tally.add(Count::WithoutTime);
+                    state.count(Count::WithoutTime)
                 }
             }
             4 => {
-                let first = word & 0x3F;
-                let distance = word >> 6 & 0x1F;
-                let second = if word & 0x800 == 0 {
+                let first = bits & 0x3F;
+                let distance = bits >> 6 & 0x1F;
+                let second = if bits & 0x800 == 0 {
                     first + distance
                 } else {
                     first.wrapping_sub(distance)
                 };
-                match (Group::new(first, self.rows), Group::new(second, self.rows)) {
-                    (Some(first), Some(second)) => {
-                        self.groups = [first, second];
-                        state.tally.add(Count::Groups);
-                    }
-                    _ => state.strange(Count::GroupsOutside),
+                let pair = [self.groups.get(first), self.groups.get(second)];
+                if pair.contains(&Group::NONE) {
+                    return state.strange(Count::GroupsOutside, word);
                 }
+                self.pair = pair;
+                state.count(Count::Groups)
             }
             _ => words16::other(word, state),
         }
@@ -152,19 +124,18 @@ impl Reader for Columns {
 
     fn forget(&mut self) {
         self.column = NONE;
-        self.groups = [Group::NONE; 2];
+        self.pair = [Group::NONE; 2];
     }
 }
 
-impl Columns {
-    #[cold]
-    fn without(&self, state: &mut State) {
-        state.tally.add(if state.clock.is_known() {
-            Count::WithoutPlace
-        } else {
-            Count::WithoutTime
-        });
-    }
+/// Counts events whose time or place is not known.
+#[cold]
+pub fn without(state: &mut State) -> bool {
+    state.count(if state.clock.is_known() {
+        Count::WithoutPlace
+    } else {
+        Count::WithoutTime
+    })
 }
 
 /// Counts events beyond the last row.

@@ -20,10 +20,10 @@
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
-use crate::device::dvxplorer::parse::{Group, outside};
-use crate::device::inivation::clock::Clock;
-use crate::device::inivation::clock::Settled;
-use crate::device::inivation::parser::{Reader, State, WordParser};
+use crate::device::dvxplorer::parse::{outside, without};
+use crate::device::inivation::clock::{Clock, Settled};
+use crate::device::inivation::groups::{Group, Groups};
+use crate::device::inivation::parser::{Reader, State, Word, WordParser};
 use crate::device::inivation::tally::Count;
 
 /// Bits of the reference.
@@ -50,11 +50,10 @@ impl MipiParser {
     pub fn begin(sensor: Sensor) -> Self {
         let reader = Frames {
             columns: sensor.width.into(),
-            rows: sensor.height.into(),
+            groups: Groups::new(sensor.height.into()),
             column: NONE,
-            frame: None,
+            frame: NO_FRAME,
             t_us: 0,
-            latest: None,
         };
         Self::new(reader, sensor, REFERENCE_BITS)
     }
@@ -63,19 +62,20 @@ impl MipiParser {
 /// No frame has begun.
 const NONE: u32 = u32::MAX;
 
+/// No frame came before: there is no such reference.
+const NO_FRAME: (u64, u32) = (u64::MAX, 0);
+
 /// Reads frames, their columns and groups.
 #[derive(Debug)]
 pub struct Frames {
     columns: u32,
-    rows: u32,
+    groups: Groups,
     /// Column of what follows.
     column: u32,
     /// Reference and microseconds of the frame before.
-    frame: Option<(u64, u32)>,
+    frame: (u64, u32),
     /// Time of what follows.
     t_us: u64,
-    /// Latest time of a frame.
-    latest: Option<u64>,
 }
 
 impl Reader for Frames {
@@ -84,130 +84,118 @@ impl Reader for Frames {
     const TICK_US: u64 = 1000;
 
     #[inline(always)]
-    fn word(&mut self, word: u32, state: &mut State, events: &mut Vec<Event>) {
-        if word & GROUPS == 0 {
+    fn word(&mut self, word: Word, state: &mut State, events: &mut Vec<Event>) -> bool {
+        let bits = word.bits;
+        if bits & GROUPS == 0 {
             return self.mark(word, state);
         }
         if self.column == NONE {
-            return self.without(state);
+            return without(state);
         }
-        let first = word >> 18 & 0x3F;
-        let second = first + (word >> 26 & 0x1F);
-        let (Some(first), Some(second)) =
-            (Group::new(first, self.rows), Group::new(second, self.rows))
-        else {
-            return state.strange(Count::GroupsOutside);
-        };
-        state.tally.add(Count::Masks);
-        let beyond = (word & 0xFF & !first.inside) | (word >> 8 & 0xFF & !second.inside) << 8;
-        if beyond != 0 {
-            outside(beyond, state);
+        let first = bits >> 18 & 0x3F;
+        let second = first + (bits >> 26 & 0x1F);
+        let (first, second) = (self.groups.get(first), self.groups.get(second));
+        if first == Group::NONE || second == Group::NONE {
+            return state.strange(Count::GroupsOutside, word);
+        }
+        let inside = first.inside() | second.inside() << 8;
+        if bits & 0xFFFF & !inside != 0 {
+            outside(bits & 0xFFFF & !inside, state);
         }
         let mut emit = |group: Group, mut mask: u32, off: u32| {
             while mask != 0 {
                 events.push(Event {
                     t_us: self.t_us,
                     x: self.column as u16,
-                    y: group.row + mask.trailing_zeros() as u16,
+                    y: (group.row() + mask.trailing_zeros()) as u16,
                     polarity: Polarity::from_bool(off == 0),
                 });
                 mask &= mask - 1;
             }
         };
-        emit(first, word & first.inside, word >> 16 & 1);
-        emit(second, word >> 8 & second.inside, word >> 17 & 1);
+        emit(first, bits & inside & 0xFF, bits >> 16 & 1);
+        emit(second, (bits & inside) >> 8, bits >> 17 & 1);
+        state.count(Count::Masks)
     }
 
     fn forget(&mut self) {
         self.column = NONE;
-        self.frame = None;
+        self.frame = NO_FRAME;
     }
 
     fn time_us(&self, clock: &Clock) -> Option<u64> {
         let reference = clock.time().map(|ms| ms * 1000);
         // A frame is after its reference, but not where that was corrected since.
-        match (reference, self.latest) {
-            (Some(reference), Some(frame)) if frame / 1000 == reference / 1000 => Some(frame),
-            (reference, _) => reference,
-        }
+        reference.map(|reference| {
+            let goes_on = self.t_us / 1000 == reference / 1000;
+            if goes_on { self.t_us } else { reference }
+        })
     }
 }
 
 impl Frames {
     /// Takes what is not a group.
-    #[inline]
-    fn mark(&mut self, word: u32, state: &mut State) {
-        if word & COLUMN != 0 {
-            self.column(word, state);
-        } else if word & REFERENCE != 0 {
+    #[inline(always)]
+    fn mark(&mut self, word: Word, state: &mut State) -> bool {
+        if word.bits & COLUMN != 0 {
+            self.column(word, state)
+        } else if word.bits & REFERENCE != 0 {
             state.tally.add(Count::Times);
-            let low = u64::from(word & 0x3F_FFFF);
-            if !state.clock.take(low) {
-                reference(low, state);
-            }
-        } else if word == 0 {
-            state.tally.add(Count::Padding);
+            let low = u64::from(word.bits & 0x3F_FFFF);
+            state.clock.take(low) || reference(low, word, state)
+        } else if word.bits == 0 {
+            state.count(Count::Padding)
         } else {
-            state.strange(Count::Unknown);
+            state.strange(Count::Unknown, word)
         }
     }
 
-    fn column(&mut self, word: u32, state: &mut State) {
+    #[inline(always)]
+    fn column(&mut self, word: Word, state: &mut State) -> bool {
         if !state.clock.is_known() {
-            return state.tally.add(Count::WithoutTime);
+            return state.count(Count::WithoutTime);
         }
-        let column = word & 0x3FF;
+        let column = word.bits & 0x3FF;
         if column >= self.columns {
-            return state.strange(Count::ColumnsOutside);
+            return state.strange(Count::ColumnsOutside, word);
         }
-        if word & FIRST != 0 {
+        if word.bits & FIRST != 0 {
             let reference = state.clock.now();
-            let sub = word >> 11 & 0x3FF;
-            let goes_on = self
-                .frame
-                .is_none_or(|(last, last_sub)| last != reference || sub > last_sub);
-            if !goes_on {
-                return self.lost(state);
+            let sub = word.bits >> 11 & 0x3FF;
+            if self.frame.0 == reference && sub <= self.frame.1 {
+                return self.lost(word, state);
             }
-            self.frame = Some((reference, sub));
+            self.frame = (reference, sub);
             self.t_us = reference * 1000 + u64::from(sub);
-            self.latest = Some(self.t_us);
         } else if self.column == NONE {
-            return state.tally.add(Count::WithoutPlace);
+            return state.count(Count::WithoutPlace);
         } else if column <= self.column {
-            return self.lost(state);
+            return self.lost(word, state);
         }
         self.column = column;
-        state.tally.add(Count::Columns);
+        state.count(Count::Columns)
     }
 
     /// Words are missing: waits for the next reference.
     #[cold]
-    fn lost(&mut self, state: &mut State) {
-        state.strange(Count::OutOfOrder);
+    fn lost(&mut self, word: Word, state: &mut State) -> bool {
+        let goes_on = state.strange(Count::OutOfOrder, word);
         state.clock.lose(None);
         self.forget();
-    }
-
-    #[cold]
-    fn without(&self, state: &mut State) {
-        state.tally.add(if state.clock.is_known() {
-            Count::WithoutPlace
-        } else {
-            Count::WithoutTime
-        });
+        goes_on
     }
 }
 
 /// Takes a reference that is below the one before, or the first after a loss.
 #[cold]
-fn reference(low: u64, state: &mut State) {
+fn reference(low: u64, word: Word, state: &mut State) -> bool {
     let before = state.clock;
-    if state.clock.settle(low) == Settled::Back {
-        let after = state.clock;
-        state.clock = before;
-        state.strike();
-        state.clock = after;
-        state.tally.add(Count::TimesBack);
+    if state.clock.settle(low) != Settled::Back {
+        return true;
     }
+    state.tally.add(Count::TimesBack);
+    let after = std::mem::replace(&mut state.clock, before);
+    let goes_on = state.strike(word);
+    state.clock = after;
+    goes_on
 }

@@ -19,9 +19,10 @@
 //! by whole periods; a reset that was forged shifts it by less than one; where a device was quiet for
 //! longer than a period, a lost wrap leaves no trace in what follows. The next loss that comes with
 //! the host's time ([`Clock::lose`]) ends the first two: the phase from before a reset is kept until
-//! then, and taken again where it fits better than the one after it, or where it fits and the counter
-//! did not look as if it began anew. A reset that was lost itself leaves times up to half a period off. A host's time is good enough if it is off by less than half a
-//! period.
+//! then, and taken again where it fits better than the one after it, or where it fits and there were
+//! other signs of damage: time that ran back, misaligned words, or a counter that did not begin anew. A
+//! reset that was lost itself leaves times up to half a period off. A host's time is good enough if it
+//! is off by less than half a period, after a reset by less than a quarter.
 
 /// Largest base: leaves room for every sum below.
 const BASE_MAX: u64 = 1 << 62;
@@ -43,6 +44,8 @@ pub struct Clock {
     anchor: Option<u64>,
     /// What was before the first reset since the host's time was last compared.
     before_reset: Option<BeforeReset>,
+    /// Words were damaged since then: a reset may be one of them.
+    damaged: bool,
 }
 
 /// The counter before a reset, should that have been none.
@@ -78,6 +81,7 @@ impl Clock {
             seen: false,
             anchor: None,
             before_reset: None,
+            damaged: false,
         }
     }
 
@@ -124,6 +128,7 @@ impl Clock {
             self.compare_reset(low);
             Settled::Found
         } else if self.is_known() {
+            self.damaged = true;
             if self.now - (self.base + low) > self.period / 2 {
                 self.base += self.period;
                 Settled::Wrapped
@@ -141,6 +146,12 @@ impl Clock {
     /// Adds `count` periods.
     #[cold]
     pub fn wrap(&mut self, count: u64) {
+        // Soon after a reset only a counter that ran on wraps.
+        if let Some(before) = &mut self.before_reset
+            && let Some(last) = before.low.take()
+        {
+            before.ran_on |= count == 1 && last > self.period / 2;
+        }
         if self.is_known() {
             self.base = (self.base + count * self.period).min(BASE_MAX);
             self.know(self.base.max(self.now));
@@ -151,6 +162,7 @@ impl Clock {
             self.anchor = Some((anchor + ticks).min(BASE_MAX));
             self.find(0, true);
             self.now = self.base;
+            self.seen = true;
         } else {
             self.base = (self.base + count * self.period).min(BASE_MAX);
             self.now = self.now.max(self.base);
@@ -166,7 +178,8 @@ impl Clock {
             self.before_reset = Some(BeforeReset {
                 base: self.base,
                 low: self.is_known().then(|| self.now - self.base),
-                ran_on: false,
+                // Between a loss and the next time it is as likely a part of the damage.
+                ran_on: !self.is_known(),
             });
         }
         if let Some(anchor) = self.anchor.take() {
@@ -185,6 +198,13 @@ impl Clock {
         if let Some(host) = host {
             self.anchor = Some(host.min(BASE_MAX));
         }
+    }
+
+    /// Words were found misaligned: what this clock took from them was undone, and time is not known.
+    #[cold]
+    pub fn lose_misaligned(&mut self) {
+        self.damaged = true;
+        self.lose(None);
     }
 
     fn know(&mut self, time: u64) {
@@ -213,10 +233,13 @@ impl Clock {
             return;
         };
         let mut time = self.nearest(self.base.wrapping_add(low), anchor);
+        let damaged = std::mem::take(&mut self.damaged);
         if let Some(before) = self.before_reset.take() {
             let other = self.nearest(before.base.wrapping_add(low), anchor);
             let off = other.abs_diff(anchor);
-            let may_be = before.ran_on && (is_wrap || off <= self.period / 4);
+            // A reset with nothing after it but the loss is taken as a part of the damage.
+            let doubted = before.ran_on || before.low.is_some() || damaged;
+            let may_be = doubted && (is_wrap || off <= self.period / 4);
             if may_be || off < time.abs_diff(anchor) {
                 time = other;
             }

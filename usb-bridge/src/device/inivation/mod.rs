@@ -13,6 +13,7 @@
 pub(super) mod camera;
 pub mod clock;
 pub(super) mod descriptors;
+pub(super) mod groups;
 pub(super) mod masks;
 pub mod parser;
 pub(super) mod registers;

@@ -25,8 +25,9 @@ pub trait Reader: Send {
     /// Ticks of the device's counter, in microseconds.
     const TICK_US: u64 = 1;
 
-    /// Takes a word. Each is counted once: as an event's, by name, or as lost.
-    fn word(&mut self, word: u32, state: &mut State, events: &mut Vec<Event>);
+    /// Takes a word. Each is counted once: as an event's, by name, or as lost. Returns whether the
+    /// words go on: not where they were found misaligned, which only [`State`]'s own functions find.
+    fn word(&mut self, word: Word, state: &mut State, events: &mut Vec<Event>) -> bool;
 
     /// Forgets row and column.
     fn forget(&mut self);
@@ -35,6 +36,15 @@ pub trait Reader: Send {
     fn time_us(&self, clock: &Clock) -> Option<u64> {
         clock.time()
     }
+}
+
+/// A word of a stream.
+#[derive(Debug, Clone, Copy)]
+pub struct Word {
+    /// Its bits.
+    pub bits: u32,
+    /// Its number.
+    pub number: u64,
 }
 
 /// What every model keeps of its stream.
@@ -54,29 +64,36 @@ pub struct State {
 impl State {
     /// Counts a word that the device does not send at this place; the clock is as before it.
     #[cold]
-    pub fn strange(&mut self, count: Count) {
+    pub fn strange(&mut self, count: Count, word: Word) -> bool {
         self.tally.add(count);
-        self.strike();
+        self.strike(word)
     }
 
     /// Takes a low part of time that the clock had a question about.
     #[cold]
-    pub fn settle(&mut self, low: u64) {
-        if self.clock.runs_back(low) {
-            self.strike();
-        }
+    pub fn settle(&mut self, low: u64, word: Word) -> bool {
+        let goes_on = !self.clock.runs_back(low) || self.strike(word);
         match self.clock.settle(low) {
             Settled::Found => {}
             Settled::Wrapped => self.tally.add(Count::WrapsMissing),
             Settled::Back => self.tally.add(Count::TimesBack),
         }
+        goes_on
     }
 
-    /// The latest word is strange; the clock is as before it.
+    /// A word is strange; the clock is as before it. Returns whether the words go on.
     #[cold]
-    pub fn strike(&mut self) {
-        let found = self.strikes.add(self.words, &self.clock);
+    pub fn strike(&mut self, word: Word) -> bool {
+        let found = self.strikes.add(word.number, &self.clock);
         self.realign = self.realign.or(found);
+        self.realign.is_none()
+    }
+
+    /// Counts a word, with which the words go on.
+    #[inline(always)]
+    pub fn count(&mut self, count: Count) -> bool {
+        self.tally.add(count);
+        true
     }
 }
 
@@ -122,20 +139,26 @@ impl<R: Reader> WordParser<R> {
     /// Reads whole words; returns the bytes read, fewer where the words were found misaligned.
     fn read(&mut self, bytes: &[u8], events: &mut Vec<Event>) -> usize {
         events.reserve(bytes.len() / R::WORD * R::EVENTS);
-        let mut read = 0;
+        let first = self.state.words;
+        let mut number = first;
         for word in bytes.chunks_exact(R::WORD) {
-            let word = match R::WORD {
-                2 => u32::from(u16::from_le_bytes([word[0], word[1]])),
-                _ => u32::from_le_bytes([word[0], word[1], word[2], word[3]]),
+            // Whole, not byte by byte: every load counts.
+            let bits = match R::WORD {
+                2 => word
+                    .first_chunk()
+                    .map_or(0, |word| u16::from_le_bytes(*word).into()),
+                _ => word
+                    .first_chunk()
+                    .map_or(0, |word| u32::from_le_bytes(*word)),
             };
-            self.reader.word(word, &mut self.state, events);
-            self.state.words += 1;
-            read += R::WORD;
-            if self.state.realign.is_some() {
+            let word = Word { bits, number };
+            number += 1;
+            if !self.reader.word(word, &mut self.state, events) {
                 break;
             }
         }
-        read
+        self.state.words = number;
+        (number - first) as usize * R::WORD
     }
 
     /// Adds to the word that is kept; returns the bytes it took.
@@ -157,7 +180,7 @@ impl<R: Reader> Parse for WordParser<R> {
         while !bytes.is_empty() {
             let used = if let Some(clock) = self.state.realign.take() {
                 self.state.clock = clock;
-                self.state.clock.lose(None);
+                self.state.clock.lose_misaligned();
                 self.reader.forget();
                 self.state.tally.add(Count::BytesMisaligned);
                 1

@@ -13,7 +13,7 @@
 //! | 6 | 0 (bits 11..10) | exposure |
 //! | 7 | d, 1 to 4095 | the counter wrapped d times: + d * 2^15 us |
 
-use super::parser::State;
+use super::parser::{State, Word};
 use super::tally::Count;
 
 /// Bits of time in a word of time.
@@ -37,20 +37,18 @@ pub const ON: u16 = 0x3000;
 /// Code of a wrap.
 pub const WRAP: u16 = 0x7000;
 
-/// Takes a word of time.
+/// Takes a word of time; returns whether the words go on.
 #[inline(always)]
-pub fn time(word: u32, state: &mut State) {
-    let low = u64::from(word & 0x7FFF);
+pub fn time(word: Word, state: &mut State) -> bool {
+    let low = u64::from(word.bits & 0x7FFF);
     state.tally.add(Count::Times);
-    if !state.clock.take(low) {
-        state.settle(low);
-    }
+    state.clock.take(low) || state.settle(low, word)
 }
 
-/// Takes a word that is neither a time nor one of the model's own codes.
-pub fn other(word: u32, state: &mut State) {
-    let data = word & 0xFFF;
-    let count = match word >> 12 {
+/// Takes a word that is neither a time nor one of the model's own codes; as [`time`].
+pub fn other(word: Word, state: &mut State) -> bool {
+    let data = word.bits & 0xFFF;
+    let count = match word.bits >> 12 {
         0 => match data {
             1 => {
                 state.clock.reset();
@@ -60,19 +58,19 @@ pub fn other(word: u32, state: &mut State) {
             5 | 7 => Count::Imu,
             8..=15 => Count::Frames,
             16 | 17 => Count::Generator,
-            _ => return state.strange(Count::Unknown),
+            _ => return state.strange(Count::Unknown, word),
         },
         5 => match data >> 8 {
             0 | 3 => Count::Imu,
             1 | 2 => Count::Exposures,
-            _ => return state.strange(Count::Unknown),
+            _ => return state.strange(Count::Unknown, word),
         },
         6 if data >> 10 == 0 => Count::Exposures,
         7 if data > 0 => {
             state.clock.wrap(u64::from(data));
             Count::Wraps
         }
-        _ => return state.strange(Count::Unknown),
+        _ => return state.strange(Count::Unknown, word),
     };
-    state.tally.add(count);
+    state.count(count)
 }
