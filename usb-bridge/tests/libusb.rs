@@ -44,7 +44,7 @@ struct Counter {
 impl Counter {
     fn boxed() -> Box<Self> {
         let device = vec![
-            18, 1, 0, 2, 0xFF, 0, 0, 64, 0x2A, 0x15, 0x19, 0x84, 0x10, 0x04, 1, 2, 3, 1,
+            18, 1, 0, 2, 0xFF, 0, 0, 64, 0x09, 0x12, 0x02, 0x00, 0x10, 0x04, 1, 2, 3, 1,
         ];
         let mut configuration = vec![9, 2, 0, 0, 1, 1, 0, 0x80, 50];
         configuration.extend([9, 4, 0, 0, 2, 0xFF, 0, 0, 0]);
@@ -179,7 +179,7 @@ fn a_device_is_found_asked_and_told() {
     let attached = attached();
     assert_eq!(attached.id(), "usb:1-4");
     assert_eq!((attached.bus, attached.address), (1, 7));
-    assert_eq!((attached.vendor, attached.product), (0x152A, 0x8419));
+    assert_eq!((attached.vendor, attached.product), (0x1209, 0x0002));
     assert_eq!(attached.release, 0x0410);
     assert_eq!(attached.product_name.as_deref(), Some("Counter"));
     assert_eq!(attached.serial.as_deref(), Some("C0001"));
@@ -188,7 +188,7 @@ fn a_device_is_found_asked_and_told() {
         told.contains("is connected at 480 Mbit/s; it needs USB 3"),
         "{told}"
     );
-    assert!(matches!(attached.try_use(0), (Use::Free, Some(_))));
+    assert_eq!(Use::of(&attached.try_open(0)), Use::Free);
 
     let device = attached.open(0).unwrap();
     let mut control = device.control();
@@ -205,10 +205,18 @@ fn a_device_is_found_asked_and_told() {
     let request = Request::vendor_in(0x72, 0, 0);
     let length = control.control_in(request, &mut told).unwrap();
     assert_eq!(&told[..length], b"!E2\nE+\n");
+    let none = Transfers {
+        endpoint: 0x81,
+        ..TRANSFERS
+    };
+    assert_eq!(
+        device.stream(&none).err().unwrap().to_string(),
+        "usb 1-4 1209:0002: has no bulk endpoint 0x81: another model, or another firmware"
+    );
     let refused = control.control_out(Request::vendor_out(0x99, 7, 0), &[]);
     assert_eq!(
         refused.unwrap_err().to_string(),
-        "usb 1-4 152a:8419: request 0x99 (value 0x0007, index 0x0000): the device refuses it"
+        "usb 1-4 1209:0002: request 0x99 (value 0x0007, index 0x0000): the device refuses it"
     );
 }
 
@@ -245,6 +253,30 @@ fn every_byte_comes_in_order_and_the_stop_loses_none() {
         .control_in(Request::vendor_in(NUMBER, 0, 0), &mut number)
         .unwrap();
     assert_eq!(got.len(), u32::from_le_bytes(number) as usize);
+}
+
+#[test]
+fn transfers_are_whole_packets() {
+    if !under_umockdev() {
+        return mocked("transfers_are_whole_packets", |_| {}, |_| {});
+    }
+    let device = attached().open(0).unwrap();
+    let mut control = device.control();
+    let transfers = Transfers {
+        bytes: 1000,
+        ..TRANSFERS
+    };
+    let mut link = device.stream(&transfers).unwrap();
+    control
+        .control_out(Request::vendor_out(START, 0, 0), &[])
+        .unwrap();
+    let mut longest = 0;
+    for _ in 0..10 {
+        if let Received::Bytes { bytes, .. } = link.receive(Duration::from_secs(1)).unwrap() {
+            longest = longest.max(bytes.len());
+        }
+    }
+    assert_eq!(longest, 1024);
 }
 
 #[test]
@@ -303,7 +335,7 @@ fn an_unplugged_device_gives_what_it_sent_and_then_says_so() {
     let got = receive(&mut link, usize::MAX);
     counts_from_zero(&got.words);
     assert_eq!(got.words.len(), 25 * (2048 + 1 + 1024));
-    let unplugged = "usb 1-4 152a:8419: unplugged; connect it again and start anew";
+    let unplugged = "usb 1-4 1209:0002: unplugged; connect it again and start anew";
     assert_eq!(got.error.unwrap().to_string(), unplugged);
     let again = link.receive(Duration::ZERO).unwrap_err().to_string();
     assert_eq!(again, unplugged);
@@ -316,7 +348,7 @@ fn a_halt_is_ended_once_and_told() {
     if !under_umockdev() {
         return mocked(
             "a_halt_is_ended_once_and_told",
-            |mocked| mocked.with_usbfs(|usbfs| usbfs.faults.push_back(Fault::Stall)),
+            |mocked| mocked.with_usbfs(|usbfs| usbfs.faults.push_back(Some(Fault::Stall))),
             |mocked| assert_eq!(mocked.with_usbfs(|usbfs| usbfs.halts_ended), 1),
         );
     }
@@ -337,7 +369,7 @@ fn an_endpoint_that_stays_halted_ends_the_stream() {
     if !under_umockdev() {
         return mocked(
             "an_endpoint_that_stays_halted_ends_the_stream",
-            |mocked| mocked.with_usbfs(|usbfs| usbfs.faults.push_back(Fault::Stall)),
+            |mocked| mocked.with_usbfs(|usbfs| usbfs.faults.push_back(Some(Fault::Stall))),
             |_| {},
         );
     }
@@ -355,7 +387,7 @@ fn a_halt_that_comes_again_at_once_is_an_error() {
         return mocked(
             "a_halt_that_comes_again_at_once_is_an_error",
             |mocked| {
-                mocked.with_usbfs(|usbfs| usbfs.faults.extend([Fault::Stall; 2]));
+                mocked.with_usbfs(|usbfs| usbfs.faults.extend([Some(Fault::Stall); 2]));
             },
             |_| {},
         );
@@ -366,7 +398,7 @@ fn a_halt_that_comes_again_at_once_is_an_error() {
     assert_eq!(got.losses, [(0, Loss::Stalled)]);
     assert_eq!(
         got.error.unwrap().to_string(),
-        "usb 1-4 152a:8419: endpoint 0x82 is stalled and stays so; reconnect the device"
+        "usb 1-4 1209:0002: endpoint 0x82 is stalled and stays so; reconnect the device"
     );
 }
 
@@ -377,11 +409,13 @@ fn overflows_and_errors_of_the_wire_are_told_and_too_many_end_it() {
             "overflows_and_errors_of_the_wire_are_told_and_too_many_end_it",
             |mocked| {
                 mocked.with_usbfs(|usbfs| {
-                    usbfs.faults.extend([Fault::Overflow, Fault::Wire]);
+                    usbfs
+                        .faults
+                        .extend([Fault::Overflow, Fault::Wire].map(Some));
                 });
             },
             |mocked| {
-                mocked.with_usbfs(|usbfs| usbfs.faults.extend([Fault::Wire; 200]));
+                mocked.with_usbfs(|usbfs| usbfs.faults.extend([Some(Fault::Wire); 200]));
                 mocked.run_test("a_wire_that_fails_on_and_on_is_a_device_that_has_gone");
             },
         );
@@ -396,6 +430,48 @@ fn overflows_and_errors_of_the_wire_are_told_and_too_many_end_it() {
     counts_from_zero(&got.words);
     assert_eq!(got.losses, [(0, Loss::Overflow), (0, Loss::Damaged)]);
     assert!(got.error.is_none());
+}
+
+#[test]
+fn faults_within_a_stream_keep_its_order() {
+    // Bytes come between any two of them: a transfer without, as the device has them too, is one of four.
+    let script = (0..200usize).map(|turn| match turn % 20 {
+        9 => Some([Fault::Stall, Fault::Overflow, Fault::Wire][turn / 20 % 3]),
+        _ => None,
+    });
+    if !under_umockdev() {
+        return mocked(
+            "faults_within_a_stream_keep_its_order",
+            |mocked| mocked.with_usbfs(|usbfs| usbfs.faults.extend(script)),
+            |mocked| assert_eq!(mocked.with_usbfs(|usbfs| usbfs.halts_ended), 4),
+        );
+    }
+    let device = attached().open(0).unwrap();
+    let mut link = device.stream(&TRANSFERS).unwrap();
+    let mut control = device.control();
+    control
+        .control_out(Request::vendor_out(START, 0, 0), &[])
+        .unwrap();
+    let got = receive(&mut link, 400_000);
+    assert!(got.error.is_none());
+    counts_from_zero(&got.words);
+    // What the device sends between faults stays between them.
+    let sent = |transfers: usize| {
+        (1..=transfers)
+            .map(|turn| [2048, 1, 1024, 0][turn % 4])
+            .sum()
+    };
+    let told = script
+        .scan(0, |passed, fault| {
+            *passed += usize::from(fault.is_none());
+            Some((sent(*passed), fault))
+        })
+        .filter_map(|(at, fault)| match fault? {
+            Fault::Stall => Some((at, Loss::Stalled)),
+            Fault::Overflow => Some((at, Loss::Overflow)),
+            Fault::Wire => Some((at, Loss::Damaged)),
+        });
+    assert_eq!(got.losses, told.collect::<Vec<_>>());
 }
 
 #[test]
@@ -452,10 +528,10 @@ fn a_device_in_use_is_left_alone() {
         );
     }
     let attached = attached();
-    assert!(matches!(attached.try_use(0), (Use::Taken, None)));
+    assert_eq!(Use::of(&attached.try_open(0)), Use::Taken);
     assert_eq!(
         attached.open(0).unwrap_err().to_string(),
-        "usb 1-4 152a:8419: in use by another program or driver; stop that one first"
+        "usb 1-4 1209:0002: in use by another program or driver; stop that one first"
     );
 }
 
@@ -465,11 +541,11 @@ fn a_device_without_permission_says_which_rule_to_install() {
     if under_umockdev() {
         let attached = attached();
         assert_eq!(attached.serial.as_deref(), Some("C0001"));
-        assert!(matches!(attached.try_use(0), (Use::Forbidden, None)));
+        assert_eq!(Use::of(&attached.try_open(0)), Use::Forbidden);
         let told = attached.open(0).unwrap_err().to_string();
         assert!(
             told.contains(
-                "SUBSYSTEM==\"usb\", ATTR{idVendor}==\"152a\", ATTR{idProduct}==\"8419\""
+                "SUBSYSTEM==\"usb\", ATTR{idVendor}==\"1209\", ATTR{idProduct}==\"0002\""
             ),
             "{told}"
         );
@@ -547,6 +623,12 @@ fn removals_are_told() {
         assert!(host.wait().unwrap().success());
         return;
     }
+    // The kernel's announcements have no way through the mock; what is there already is told.
+    let mut told = Watch::new().unwrap();
+    let change = told.next(Duration::from_secs(5)).unwrap();
+    assert!(matches!(change, Some(Change::Arrived(attached)) if attached.id() == "usb:1-4"));
+    assert!(told.next(Duration::from_millis(10)).unwrap().is_none());
+    drop(told);
     let mut watch = Watch::polling();
     let change = watch.next(Duration::from_secs(5)).unwrap();
     let Some(Change::Arrived(attached)) = change else {
@@ -569,4 +651,5 @@ fn list_names_no_device_that_it_does_not_know() {
     let mut command = mocked.command_for(env!("CARGO_BIN_EXE_eecvs-usb"));
     let output = command.arg("list").output().unwrap();
     assert!(output.status.success(), "{output:?}");
+    assert_eq!(output.stdout, b"No known camera or MCU is attached.\n");
 }

@@ -4,6 +4,7 @@ use anyhow::Result;
 use host_harness::cmd::output::{print, print_json};
 use serde::Serialize;
 
+use crate::link::LinkError;
 use crate::link::usb::{Attached, Bus, Use, speed_name};
 
 /// Known cameras and MCUs that are attached
@@ -56,7 +57,7 @@ impl List {
 
 fn row(attached: &Attached) -> Option<Row> {
     let model = attached.model?;
-    let (state, device) = attached.try_use(model.transfers().interface);
+    let device = attached.try_open(model.transfers().interface);
     let mut row = Row {
         id: attached.id(),
         model: model.name(),
@@ -66,26 +67,22 @@ fn row(attached: &Attached) -> Option<Row> {
         release: format!("{:04x}", attached.release),
         serial: attached.serial.clone(),
         speed: speed_name(attached.speed),
-        r#use: state.name(),
+        r#use: Use::of(&device).name(),
         firmware: None,
         sensor: None,
         problem: None,
     };
     match device.map(|device| model.identify(&mut device.control())) {
-        Some(Ok(info)) => {
+        Ok(Ok(info)) => {
             row.name = Some(info.name);
             row.serial = info.serial.or(row.serial);
             row.firmware = Some(info.firmware);
             row.sensor = Some([info.sensor.width, info.sensor.height]);
         }
-        Some(Err(error)) => row.problem = Some(format!("{error:#}")),
-        None if state == Use::Forbidden => {
-            row.problem = attached
-                .open(model.transfers().interface)
-                .err()
-                .map(|error| error.to_string());
-        }
-        None => {}
+        Ok(Err(error)) => row.problem = Some(format!("{error:#}")),
+        // The column says it.
+        Err(LinkError::Busy { .. }) => {}
+        Err(error) => row.problem = Some(error.to_string()),
     }
     if row.problem.is_none()
         && model.needs_super_speed()

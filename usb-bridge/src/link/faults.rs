@@ -370,6 +370,8 @@ impl<L: Link> Link for Faults<L> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
     use crate::link::loopback::pair;
 
@@ -458,5 +460,28 @@ mod tests {
         let (told, _, counts, _) = run(silent, 250);
         assert!(told.is_empty());
         assert_eq!(counts.faults.iter().sum::<u64>(), 5);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(60))]
+
+        #[test]
+        fn no_byte_is_unaccounted_for(
+            seed: u64,
+            rates in prop::array::uniform7(0.0..0.4f64),
+            silent: bool,
+            pieces in 0..100u8,
+        ) {
+            let delay_max = Duration::from_micros(50);
+            let plan = Plan { rates, silent, delay_max, ..Plan::none(seed) };
+            let (told, got, counts, log) = run(plan, pieces);
+            prop_assert_eq!(counts.pieces, u64::from(pieces));
+            let twice = counts.faults[Fault::Duplicate as usize] * 100;
+            prop_assert_eq!(got.len() as u64 + counts.bytes_lost, counts.bytes + twice);
+            let losses = counts.faults[Fault::Drop as usize] + counts.faults[Fault::Cut as usize];
+            prop_assert_eq!(told.len() as u64, if silent { 0 } else { losses });
+            prop_assert_eq!(log.len() as u64, counts.faults.iter().sum::<u64>());
+            prop_assert_eq!(log.iter().map(|one| one.lost).sum::<u64>(), counts.bytes_lost);
+        }
     }
 }

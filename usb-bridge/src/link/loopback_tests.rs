@@ -166,6 +166,23 @@ fn a_device_without_a_bus_answers_streams_and_goes() {
     assert!(matches!(gone, LinkError::Unplugged { .. }));
 }
 
+#[test]
+fn a_drain_ends_when_it_is_quiet_or_takes_too_long() {
+    let pieces = |count| (0..count).map(|_| (Bulk::Data, vec![0; 10]));
+    let mut link = Prepared::attach(pieces(5)).stream(&TRANSFERS);
+    let mut got = 0;
+    let mut take = |received: &Received<'_>| {
+        if let Received::Bytes { bytes, .. } = received {
+            got += bytes.len();
+        }
+    };
+    let (quiet, limit) = (Duration::from_millis(5), Duration::from_secs(5));
+    assert!(crate::link::drain(&mut link, quiet, limit, &mut take).unwrap());
+    let mut link = Prepared::attach(pieces(5)).stream(&TRANSFERS);
+    assert!(!crate::link::drain(&mut link, quiet, Duration::ZERO, &mut take).unwrap());
+    assert_eq!(got, 60);
+}
+
 /// `cargo test --release -p usb-bridge loopback -- --ignored --nocapture`: 50 million events a second
 /// are 200 MB/s.
 #[test]

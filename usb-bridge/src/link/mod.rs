@@ -128,6 +128,30 @@ pub trait Link: Send {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 }
 
+/// Receives until nothing comes for `quiet`, which is longer than the device's own timeout of transfers,
+/// or the stream ends: what a device sent before it stopped. `false` where bytes still come after
+/// `limit`.
+///
+/// # Errors
+/// The link failed.
+pub fn drain(
+    link: &mut dyn Link,
+    quiet: Duration,
+    limit: Duration,
+    mut taken: impl FnMut(&Received<'_>),
+) -> Result<bool, LinkError> {
+    let deadline = until(limit);
+    loop {
+        let received = link.receive(quiet)?;
+        taken(&received);
+        match received {
+            Received::Nothing | Received::Ended => return Ok(true),
+            _ if Instant::now() >= deadline => return Ok(false),
+            _ => {}
+        }
+    }
+}
+
 /// The moment at which `timeout` from now ends; one that no clock can hold is a day.
 pub(crate) fn until(timeout: Duration) -> Instant {
     let now = Instant::now();

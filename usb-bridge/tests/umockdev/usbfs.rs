@@ -44,8 +44,8 @@ pub struct Usbfs {
     pub taken: bool,
     /// URBs to the host that the kernel has memory for.
     pub urbs_max: usize,
-    /// Faults to come, each for one transfer.
-    pub faults: VecDeque<Fault>,
+    /// Faults to come, each for one transfer to the host, `None` for one without.
+    pub faults: VecDeque<Option<Fault>>,
     /// Whether a halt is there again as soon as it was ended.
     pub stays_halted: bool,
     /// The device goes after so many transfers to the host.
@@ -290,7 +290,7 @@ impl Usbfs {
             asked.push(endpoint);
             self.scratch.clear();
             let mut status = 0;
-            match self.faults.pop_front() {
+            match self.faults.front().copied().flatten() {
                 Some(Fault::Stall) => status = -EPIPE,
                 Some(Fault::Overflow) => status = -EOVERFLOW,
                 Some(Fault::Wire) => status = -EPROTO,
@@ -301,6 +301,7 @@ impl Usbfs {
                     Bulk::Stall => status = -EPIPE,
                 },
             }
+            self.faults.pop_front();
             if status == -EPIPE {
                 self.halted.push(endpoint);
             }

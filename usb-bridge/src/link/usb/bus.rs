@@ -65,6 +65,17 @@ pub enum Use {
 }
 
 impl Use {
+    /// What an attempt to open it tells.
+    #[must_use]
+    pub const fn of(opened: &Result<Device, LinkError>) -> Self {
+        match opened {
+            Ok(_) => Self::Free,
+            Err(LinkError::Busy { .. }) => Self::Taken,
+            Err(LinkError::Permission { .. }) => Self::Forbidden,
+            Err(_) => Self::Unknown,
+        }
+    }
+
     /// For people and programs.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -210,9 +221,21 @@ impl Attached {
     /// Opens it and claims one interface. A kernel driver gives way, and is back afterwards.
     ///
     /// # Errors
-    /// No permission, in use, or gone.
+    /// No permission, in use, gone, or connected slower than its model's stream.
     pub fn open(&self, interface: u8) -> Result<Device, LinkError> {
+        if self.model.is_some_and(Model::needs_super_speed) {
+            self.require_super_speed()?;
+        }
         Device::open(self, interface, Drivers::GiveWay)
+    }
+
+    /// Opens it and claims one interface where nobody has it, and disturbs nobody: [`Use::of`] says what
+    /// that tells.
+    ///
+    /// # Errors
+    /// No permission, in use, or gone.
+    pub fn try_open(&self, interface: u8) -> Result<Device, LinkError> {
+        Device::open(self, interface, Drivers::Stay)
     }
 
     /// Refuses a connection that is slower than the stream.
@@ -226,18 +249,6 @@ impl Attached {
                 speed: speed_name(self.speed),
             }),
             _ => Ok(()),
-        }
-    }
-
-    /// Whether it can be had, without disturbing who has it. Where it is free, it stays open and its
-    /// interface claimed as long as what is returned.
-    #[must_use]
-    pub fn try_use(&self, interface: u8) -> (Use, Option<Device>) {
-        match Device::open(self, interface, Drivers::Stay) {
-            Ok(device) => (Use::Free, Some(device)),
-            Err(LinkError::Busy { .. }) => (Use::Taken, None),
-            Err(LinkError::Permission { .. }) => (Use::Forbidden, None),
-            Err(_) => (Use::Unknown, None),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use rusb::{Context, DeviceHandle, Direction, TransferType};
+use rusb::{Context, DeviceHandle, TransferType};
 
 use super::UsbControl;
 use super::bus::Attached;
@@ -34,11 +34,17 @@ pub(super) struct Opened {
     pub(super) identity: (u16, u16),
     pub(super) release: u16,
     pub(super) serial: Option<String>,
-    /// The interface's bulk endpoint from the host, where it has one.
-    pub(super) bulk_out: Option<u8>,
+    /// The interface's bulk endpoints and their packets' sizes.
+    endpoints: Vec<(u8, usize)>,
 }
 
 impl Opened {
+    /// The first bulk endpoint that takes bytes, where there is one.
+    pub(super) fn bulk_out(&self) -> Option<u8> {
+        let mut endpoints = self.endpoints.iter().map(|one| one.0);
+        endpoints.find(|endpoint| endpoint & 0x80 == 0)
+    }
+
     pub(super) fn error(&self, step: &str, error: rusb::Error) -> LinkError {
         link_error(&self.name, self.identity, step, error)
     }
@@ -71,7 +77,7 @@ impl Device {
         })?;
         Ok(Self {
             opened: Arc::new(Opened {
-                bulk_out: bulk_out(&attached.device, interface),
+                endpoints: bulk_endpoints(&attached.device, interface),
                 handle,
                 name: attached.name(),
                 identity: (attached.vendor, attached.product),
@@ -96,27 +102,42 @@ impl Device {
     /// Its stream: transfers are in flight when this returns, so that nothing is missed.
     ///
     /// # Errors
-    /// A transfer cannot be made or submitted.
+    /// There is no such endpoint, or a transfer cannot be made or submitted.
     pub fn stream(&self, transfers: &Transfers) -> Result<UsbLink, LinkError> {
-        UsbLink::new(Arc::clone(&self.opened), transfers)
+        let mut endpoints = self.opened.endpoints.iter();
+        let Some(&(_, packet)) = endpoints.find(|one| one.0 == transfers.endpoint) else {
+            return Err(LinkError::Failed {
+                link: self.opened.name.clone(),
+                cause: format!(
+                    "has no bulk endpoint {:#04x}: another model, or another firmware",
+                    transfers.endpoint
+                ),
+            });
+        };
+        // A last packet that does not fit would be an overflow.
+        let whole = Transfers {
+            bytes: transfers.bytes.next_multiple_of(packet.max(1)),
+            ..*transfers
+        };
+        UsbLink::new(Arc::clone(&self.opened), &whole)
     }
 }
 
-/// The first bulk endpoint of an interface that takes bytes.
-fn bulk_out(device: &rusb::Device<Context>, interface: u8) -> Option<u8> {
-    let configuration = device.active_config_descriptor().ok()?;
+/// The bulk endpoints of an interface, with the sizes of their packets.
+fn bulk_endpoints(device: &rusb::Device<Context>, interface: u8) -> Vec<(u8, usize)> {
+    let Ok(configuration) = device.active_config_descriptor() else {
+        return Vec::new();
+    };
     configuration
         .interfaces()
         .filter(|one| one.number() == interface)
-        .flat_map(|one| one.descriptors().next())
+        .filter_map(|one| one.descriptors().next())
         .flat_map(|descriptor| {
             descriptor
                 .endpoint_descriptors()
-                .find(|endpoint| {
-                    endpoint.direction() == Direction::Out
-                        && endpoint.transfer_type() == TransferType::Bulk
-                })
-                .map(|endpoint| endpoint.address())
+                .filter(|endpoint| endpoint.transfer_type() == TransferType::Bulk)
+                .map(|endpoint| (endpoint.address(), endpoint.max_packet_size().into()))
+                .collect::<Vec<_>>()
         })
-        .next()
+        .collect()
 }

@@ -259,7 +259,7 @@ impl Link for UsbLink {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        let Some(endpoint) = self.opened.bulk_out else {
+        let Some(endpoint) = self.opened.bulk_out() else {
             return Err(LinkError::Failed {
                 link: self.opened.name.clone(),
                 cause: "has no endpoint that takes bytes".to_owned(),

@@ -1,6 +1,7 @@
 //! Tests of stream files.
 
-use std::io::Cursor;
+use std::io::{Cursor, Read, Seek};
+use std::time::Duration;
 
 use proptest::prelude::*;
 
