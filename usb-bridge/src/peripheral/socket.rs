@@ -91,7 +91,7 @@ impl Traffic {
 
 /// A socket that can be asked without waiting.
 pub trait Socket: Read + Write {
-    /// Reads and writes return at once, or a read waits at most for `QUIET`.
+    /// Reads and writes return at once, or a read waits at most for 20 ms.
     ///
     /// # Errors
     /// The system refuses.

@@ -1,6 +1,7 @@
 //! A Unix socket at which QEMU finds a simulated device.
 
 use std::io::ErrorKind;
+use std::os::unix::fs::FileTypeExt as _;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -24,11 +25,14 @@ impl UnixServer {
     /// Something else is there, or the folder cannot be written.
     pub fn listen(path: &Path) -> Result<Self> {
         let name = path.display();
+        // What is no socket refuses a connection in the same way, and is somebody's file.
+        let is_socket =
+            std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.file_type().is_socket());
         let is_dead = || {
             UnixStream::connect(path)
                 .is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused)
         };
-        if path.exists() && is_dead() {
+        if is_socket && is_dead() {
             std::fs::remove_file(path).with_context(|| format!("{name}: cannot be replaced"))?;
         }
         let listener = UnixListener::bind(path)
