@@ -52,6 +52,18 @@ impl Link {
         self.ignored
     }
 
+    /// Begins anew with the next byte, which does not go on from those before: another host sends it.
+    /// Words that were received and not taken count as ignored, and so do `lost` bytes that did not come
+    /// this far.
+    pub fn restart(&mut self, lost: u32) {
+        if let Step::Words(at) = self.step {
+            self.ignore(self.receiver.words(at).len());
+        }
+        self.ignore(lost as usize);
+        self.receiver.restart();
+        self.step = Step::Bytes;
+    }
+
     /// The source that takes its bytes from `next_byte`.
     pub const fn source<F: FnMut() -> Option<u8>>(&mut self, next_byte: F) -> LinkSource<'_, F> {
         LinkSource {

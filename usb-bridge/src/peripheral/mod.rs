@@ -3,6 +3,8 @@
 //! A [`Peripheral`] answers what a host asks. What carries the questions stands beside it: inside the
 //! process, over usbredir to a virtual machine, over USB/IP to a kernel.
 
+pub mod class_bus;
+
 use crate::link::control::Request;
 
 /// Speed of a bus.
