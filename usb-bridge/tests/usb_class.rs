@@ -19,8 +19,6 @@ use usb_device::bus::UsbBusAllocator;
 /// Endpoints of the serial port.
 const SERIAL_TO_HOST: u8 = 0x83;
 const SERIAL_FROM_HOST: u8 = 0x02;
-/// Packets that the queue holds in these tests.
-const PACKETS: usize = 16;
 
 /// Sends what it is told to, keeps what it receives.
 #[derive(Default)]
@@ -65,7 +63,7 @@ impl Application for Script {
 fn with_device<R>(script: Script, test: impl FnOnce(&mut ClassBus<'_, Script>) -> R) -> R {
     let wire = Wire::default();
     let allocator = UsbBusAllocator::new(wire.clone());
-    let mut outgoing = Outgoing::<{ PACKETS + 1 }>::new();
+    let mut outgoing = Outgoing::new();
     let ends: (Sender<'_>, Fetcher<'_>) = outgoing.split();
     let serial = serial_number([1, 2, 3]);
     let serial = std::str::from_utf8(&serial).unwrap();
@@ -321,21 +319,21 @@ fn a_host_that_stops_reading_costs_counted_messages_and_no_time() {
         ..Script::default()
     };
     with_device(script, |device| {
-        let messages: Vec<_> = (0..100).map(|seed| message(100, seed)).collect();
+        let messages: Vec<_> = (0..200).map(|seed| message(100, seed)).collect();
         device.application().messages = messages.clone().into();
         device.run();
         let (sent, refused) = (device.application().sent, device.application().refused);
-        assert_eq!(sent + refused, 100);
-        assert!(refused > 80, "{refused}");
+        assert_eq!(sent + refused, 200);
+        assert!(refused > 160, "{refused}");
         let before = counts(device);
         assert_eq!(before.messages_dropped as usize, refused);
         // It reads again: what was queued comes, the first messages whole.
         let received = transfers(device, TO_HOST, 16384);
-        assert_eq!(received[..4], messages[..4]);
+        assert_eq!(received[..30], messages[..30]);
         let after = counts(device);
         let bytes: usize = received.iter().map(Vec::len).sum();
         assert_eq!(after.bytes_sent as usize, bytes);
-        assert_eq!(after.bytes_sent + after.bytes_dropped, 100 * 100);
+        assert_eq!(after.bytes_sent + after.bytes_dropped, 200 * 100);
     });
 }
 
@@ -648,7 +646,7 @@ fn acts() -> impl Strategy<Value = Act> {
         1 => Just(Act::Reset),
         1 => Just(Act::Suspend),
         1 => Just(Act::Resume),
-        4 => (0_usize..400).prop_map(Act::Message),
+        4 => (0_usize..1500).prop_map(Act::Message),
         1 => any::<bool>().prop_map(Act::Busy),
         2 => Just(Act::Run),
     ]

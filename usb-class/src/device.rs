@@ -13,7 +13,7 @@ use usbd_serial::CdcAcmClass;
 use crate::PACKET_BYTES;
 use crate::function::{Events, Function};
 use crate::identity::{MANUFACTURER, PRODUCT, RELEASE, SERIAL_NAME, VENDOR_AND_PRODUCT};
-use crate::outgoing::{Fetcher, Packet};
+use crate::outgoing::{Fetcher, QUEUE_PACKETS};
 use crate::requests::Counts;
 
 /// What a bus-powered board may take, in milliamperes: the chip, a sensor and a few lamps.
@@ -73,7 +73,7 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
         port: P,
         serial_number: &'a str,
     ) -> Option<Self> {
-        let vendor = Function::new(allocator, outgoing.shared)?;
+        let vendor = Function::new(allocator, outgoing.shared())?;
         let serial = CdcAcmClass::new_with_interface_names(
             allocator,
             PACKET_BYTES as u16,
@@ -132,14 +132,14 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
         self.follow(&events);
         match self.device.state() {
             UsbDeviceState::Configured => {
-                self.outgoing.shared.listen(true);
+                self.outgoing.shared().listen(true);
                 self.receive();
                 self.transmit();
             }
             // Asleep, perhaps unplugged: what waits stays until a reset tells.
             UsbDeviceState::Suspend => {}
             UsbDeviceState::Default | UsbDeviceState::Addressed => {
-                self.outgoing.shared.listen(false);
+                self.outgoing.shared().listen(false);
                 self.discard();
             }
         }
@@ -214,39 +214,52 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
     /// Begins a session.
     fn restart(&mut self) {
         add(&mut self.vendor.counts.sessions, 1);
-        self.outgoing.shared.begin_session();
+        self.outgoing.shared().begin_session();
         self.port.restart();
         self.discard();
     }
 
     /// Drops packets of sessions that have ended: as many as the queue holds, at the most.
     fn discard(&mut self) {
-        let session = self.outgoing.shared.session();
-        let is_old = |packet: &Packet| !packet.is_of(session);
-        for _ in 0..self.outgoing.consumer.capacity() {
-            if !self.outgoing.consumer.peek().is_some_and(is_old) {
+        let session = self.outgoing.shared().session();
+        for _ in 0..QUEUE_PACKETS {
+            let Some(packet) = self.outgoing.peek().filter(|packet| !packet.is_of(session)) else {
                 break;
-            }
-            if let Some(packet) = self.outgoing.consumer.dequeue() {
-                let counts = &mut self.vendor.counts;
-                add(&mut counts.bytes_dropped, packet.bytes().len() as u32);
-                add(&mut counts.messages_dropped, u32::from(packet.ends()));
-            }
+            };
+            self.outgoing.take();
+            let counts = &mut self.vendor.counts;
+            add(&mut counts.bytes_dropped, packet.bytes().len() as u32);
+            add(&mut counts.messages_dropped, u32::from(packet.ends()));
         }
     }
 
     /// A packet that finds no room stays in its endpoint, which holds the host.
     fn receive(&mut self) {
         let mut packet = [0; PACKET_BYTES];
-        if self.port.room() >= PACKET_BYTES
-            && let Ok(len) = self.vendor.from_host.read(&mut packet)
-        {
-            self.take(Owner::Vendor, packet.get(..len).unwrap_or(&[]));
+        for from in [Owner::Vendor, Owner::Serial] {
+            if self.port.room() >= PACKET_BYTES
+                && let Ok(len) = self.read(from, &mut packet)
+            {
+                self.take(from, packet.get(..len).unwrap_or(&[]));
+            }
         }
-        if self.port.room() >= PACKET_BYTES
-            && let Ok(len) = self.serial.read_packet(&mut packet)
-        {
-            self.take(Owner::Serial, packet.get(..len).unwrap_or(&[]));
+    }
+
+    /// By itself, as [`Device::poll_stack`].
+    #[inline(never)]
+    fn read(&mut self, from: Owner, packet: &mut [u8; PACKET_BYTES]) -> usb_device::Result<usize> {
+        match from {
+            Owner::Vendor => self.vendor.from_host.read(packet),
+            Owner::Serial => self.serial.read_packet(packet),
+        }
+    }
+
+    /// As [`Device::read`].
+    #[inline(never)]
+    fn write(&mut self, packet: &[u8]) -> usb_device::Result<usize> {
+        match self.owner {
+            Owner::Vendor => self.vendor.to_host.write(packet),
+            Owner::Serial => self.serial.write_packet(packet),
         }
     }
 
@@ -267,25 +280,24 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
 
     fn transmit(&mut self) {
         self.discard();
-        let Some(flight) = self.flights.get_mut(self.owner as usize) else {
+        let at = self.owner as usize;
+        if self.flights.get(at).is_none_or(Option::is_some) {
+            return;
+        }
+        let Some(packet) = self.outgoing.peek() else {
             return;
         };
-        let Some(packet) = self.outgoing.consumer.peek().filter(|_| flight.is_none()) else {
-            return;
-        };
-        let written = match self.owner {
-            Owner::Vendor => self.vendor.to_host.write(packet.bytes()),
-            Owner::Serial => self.serial.write_packet(packet.bytes()),
-        };
-        if written.is_err() {
+        if self.write(packet.bytes()).is_err() {
             // One of an earlier session is still there; its end comes back here.
             return;
         }
-        *flight = Some(Flight {
-            bytes: packet.bytes().len() as u32,
-            ends: packet.ends(),
-        });
-        let _ = self.outgoing.consumer.dequeue();
+        self.outgoing.take();
+        if let Some(flight) = self.flights.get_mut(at) {
+            *flight = Some(Flight {
+                bytes: packet.bytes().len() as u32,
+                ends: packet.ends(),
+            });
+        }
     }
 }
 

@@ -42,7 +42,7 @@ pub use identity::{
     VENDOR_AND_PRODUCT, VENDOR_NAME, serial_number,
 };
 pub use microsoft::{DESCRIPTOR_SET, PLATFORM_CAPABILITY};
-pub use outgoing::{Fetcher, Outgoing, Sender};
+pub use outgoing::{Fetcher, Outgoing, QUEUE_PACKETS, Sender};
 pub use requests::{COUNTS, COUNTS_BYTES, Counts, DESCRIPTORS, RESTART};
 
 /// Largest packet of a bulk endpoint at full speed (12 Mbit/s).

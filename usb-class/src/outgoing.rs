@@ -6,34 +6,21 @@
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-use heapless::spsc::{Consumer, Producer, Queue};
-
 use crate::PACKET_BYTES;
 
-/// One packet in the queue.
-#[derive(Debug)]
+/// Packets that the queue holds: 4 KiB, an ordinary frame. A power of two.
+pub const QUEUE_PACKETS: usize = 64;
+const WORDS: usize = PACKET_BYTES / 4;
+
+/// One packet of the queue.
 pub(crate) struct Packet {
     /// Session that it is of, its low bits: the queue is emptied long before they repeat.
-    session: u8,
-    len: u8,
+    session: u16,
+    len: u16,
     bytes: [u8; PACKET_BYTES],
 }
 
 impl Packet {
-    /// `bytes` are at most [`PACKET_BYTES`].
-    fn new(session: u32, bytes: &[u8]) -> Self {
-        let mut packet = Self {
-            session: session as u8,
-            len: 0,
-            bytes: [0; PACKET_BYTES],
-        };
-        for (to, from) in packet.bytes.iter_mut().zip(bytes) {
-            *to = *from;
-            packet.len += 1;
-        }
-        packet
-    }
-
     pub(crate) fn bytes(&self) -> &[u8] {
         self.bytes.get(..usize::from(self.len)).unwrap_or(&[])
     }
@@ -44,7 +31,50 @@ impl Packet {
     }
 
     pub(crate) const fn is_of(&self, session: u32) -> bool {
-        self.session == session as u8
+        self.session == session as u16
+    }
+}
+
+/// A packet's place: its length in the low half of `head`, its session in the high one. Atomics, so that
+/// both sides may have the queue; it is `put` and `taken` that order them.
+struct Slot {
+    head: AtomicU32,
+    words: [AtomicU32; WORDS],
+}
+
+impl Slot {
+    const EMPTY: Self = Self {
+        head: AtomicU32::new(0),
+        words: [const { AtomicU32::new(0) }; WORDS],
+    };
+
+    fn write(&self, session: u32, bytes: &[u8]) {
+        let head = session << 16 | bytes.len() as u32;
+        self.head.store(head, Ordering::Relaxed);
+        let (words, rest) = bytes.as_chunks();
+        for (slot, word) in self.words.iter().zip(words) {
+            slot.store(u32::from_le_bytes(*word), Ordering::Relaxed);
+        }
+        if let Some(slot) = self.words.get(words.len()) {
+            let mut word = [0; 4];
+            for (to, from) in word.iter_mut().zip(rest) {
+                *to = *from;
+            }
+            slot.store(u32::from_le_bytes(word), Ordering::Relaxed);
+        }
+    }
+
+    fn read(&self) -> Packet {
+        let head = self.head.load(Ordering::Relaxed);
+        let mut bytes = [0; PACKET_BYTES];
+        for (word, slot) in bytes.as_chunks_mut().0.iter_mut().zip(&self.words) {
+            *word = slot.load(Ordering::Relaxed).to_le_bytes();
+        }
+        Packet {
+            session: (head >> 16) as u16,
+            len: head as u16,
+            bytes,
+        }
     }
 }
 
@@ -91,19 +121,24 @@ impl Shared {
     }
 }
 
-/// The queue; it holds `N - 1` packets.
-#[derive(Debug)]
-pub struct Outgoing<const N: usize> {
-    queue: Queue<Packet, N>,
+/// The queue.
+pub struct Outgoing {
+    slots: [Slot; QUEUE_PACKETS],
+    /// Packets put and taken so far; wrap.
+    put: AtomicU32,
+    taken: AtomicU32,
     shared: Shared,
 }
 
-impl<const N: usize> Outgoing<N> {
+impl Outgoing {
     /// An empty queue.
     #[must_use]
     pub const fn new() -> Self {
+        const { assert!(QUEUE_PACKETS.is_power_of_two()) };
         Self {
-            queue: Queue::new(),
+            slots: [Slot::EMPTY; QUEUE_PACKETS],
+            put: AtomicU32::new(0),
+            taken: AtomicU32::new(0),
             shared: Shared {
                 listening: AtomicBool::new(false),
                 session: AtomicU32::new(0),
@@ -115,18 +150,22 @@ impl<const N: usize> Outgoing<N> {
 
     /// The encoder's end and the bus's, for [`crate::Device::new`].
     pub fn split(&mut self) -> (Sender<'_>, Fetcher<'_>) {
-        let (producer, consumer) = self.queue.split();
-        let shared = &self.shared;
-        let sender = Sender {
-            producer,
-            shared,
-            session: 0,
-        };
-        (sender, Fetcher { consumer, shared })
+        let queue = &*self;
+        (Sender { queue, session: 0 }, Fetcher { queue })
+    }
+
+    fn free(&self) -> usize {
+        let put = self.put.load(Ordering::Acquire);
+        let len = put.wrapping_sub(self.taken.load(Ordering::Acquire)) as usize;
+        QUEUE_PACKETS.saturating_sub(len)
+    }
+
+    fn slot(&self, count: u32) -> Option<&Slot> {
+        self.slots.get(count as usize % QUEUE_PACKETS)
     }
 }
 
-impl<const N: usize> Default for Outgoing<N> {
+impl Default for Outgoing {
     fn default() -> Self {
         Self::new()
     }
@@ -134,8 +173,7 @@ impl<const N: usize> Default for Outgoing<N> {
 
 /// The encoder's end.
 pub struct Sender<'q> {
-    producer: Producer<'q, Packet>,
-    shared: &'q Shared,
+    queue: &'q Outgoing,
     /// The one that messages are of.
     session: u32,
 }
@@ -144,20 +182,20 @@ impl Sender<'_> {
     /// What is sent from now on is of the host's session as it is now. Until the call after the begin of a
     /// session, messages are dropped: they answer a host that is gone.
     pub fn follow(&mut self) {
-        self.session = self.shared.session();
+        self.session = self.queue.shared.session();
     }
 
     /// Whether a host listens to what would be sent.
     #[must_use]
     pub fn is_heard(&self) -> bool {
-        self.shared.is_listening() && self.shared.session() == self.session
+        let shared = &self.queue.shared;
+        shared.is_listening() && shared.session() == self.session
     }
 
     /// Whether a message of `bytes` can be queued without waiting.
     #[must_use]
     pub fn has_room(&self, bytes: usize) -> bool {
-        let free = self.producer.capacity() - self.producer.len();
-        bytes / PACKET_BYTES < free
+        bytes / PACKET_BYTES < self.queue.free()
     }
 
     /// Queues a message; calls `wait` where the queue is full, until there is room.
@@ -168,15 +206,15 @@ impl Sender<'_> {
         let mut rest = message;
         while !message.is_empty() {
             let (bytes, after) = rest.split_at_checked(PACKET_BYTES).unwrap_or((rest, &[]));
-            while self.is_heard() && !self.producer.ready() {
+            while self.is_heard() && self.queue.free() == 0 {
                 if !wait() {
                     return self.drop_message(rest);
                 }
             }
-            let packet = Packet::new(self.session, bytes);
-            if !self.is_heard() || self.producer.enqueue(packet).is_err() {
+            if !self.is_heard() {
                 return self.drop_message(rest);
             }
+            self.put(bytes);
             if bytes.len() < PACKET_BYTES {
                 break;
             }
@@ -185,17 +223,50 @@ impl Sender<'_> {
         true
     }
 
+    /// Queues a packet, for which there is room.
+    fn put(&mut self, bytes: &[u8]) {
+        let put = self.queue.put.load(Ordering::Relaxed);
+        if let Some(slot) = self.queue.slot(put) {
+            slot.write(self.session, bytes);
+        }
+        self.queue.put.store(put.wrapping_add(1), Ordering::Release);
+    }
+
     fn drop_message(&self, rest: &[u8]) -> bool {
-        add(&self.shared.messages_dropped, 1);
-        add(&self.shared.bytes_dropped, rest.len());
+        let shared = &self.queue.shared;
+        add(&shared.messages_dropped, 1);
+        add(&shared.bytes_dropped, rest.len());
         false
     }
 }
 
 /// The bus's end.
 pub struct Fetcher<'q> {
-    pub(crate) consumer: Consumer<'q, Packet>,
-    pub(crate) shared: &'q Shared,
+    queue: &'q Outgoing,
+}
+
+impl<'q> Fetcher<'q> {
+    pub(crate) fn shared(&self) -> &'q Shared {
+        &self.queue.shared
+    }
+
+    /// The oldest packet.
+    pub(crate) fn peek(&self) -> Option<Packet> {
+        if self.queue.free() == QUEUE_PACKETS {
+            return None;
+        }
+        let taken = self.queue.taken.load(Ordering::Relaxed);
+        self.queue.slot(taken).map(Slot::read)
+    }
+
+    /// Gives up the packet that [`Fetcher::peek`] has.
+    pub(crate) fn take(&mut self) {
+        if self.queue.free() < QUEUE_PACKETS {
+            let taken = self.queue.taken.load(Ordering::Relaxed);
+            let taken = taken.wrapping_add(1);
+            self.queue.taken.store(taken, Ordering::Release);
+        }
+    }
 }
 
 #[cfg(test)]
@@ -207,16 +278,19 @@ mod tests {
     use super::*;
 
     fn lens(fetcher: &mut Fetcher<'_>) -> Vec<usize> {
-        core::iter::from_fn(|| fetcher.consumer.dequeue())
-            .map(|packet| packet.bytes().len())
-            .collect()
+        let next = || {
+            let packet = fetcher.peek()?;
+            fetcher.take();
+            Some(packet.bytes().len())
+        };
+        core::iter::from_fn(next).collect()
     }
 
     #[test]
     fn messages_end_with_a_packet_that_is_not_full() {
-        let mut outgoing = Outgoing::<8>::new();
+        let mut outgoing = Outgoing::new();
         let (mut sender, mut fetcher) = outgoing.split();
-        fetcher.shared.listen(true);
+        fetcher.shared().listen(true);
         for (bytes, packets) in [
             (0, &[][..]),
             (1, &[1]),
@@ -230,24 +304,43 @@ mod tests {
             assert!(sender.send(&[7; 448][..bytes], || false));
             assert_eq!(lens(&mut fetcher), packets, "{bytes}");
         }
-        assert!(!sender.has_room(448));
-        assert_eq!(fetcher.shared.bytes_dropped(), 0);
+        assert!(sender.has_room(QUEUE_PACKETS * PACKET_BYTES - 1));
+        assert!(!sender.has_room(QUEUE_PACKETS * PACKET_BYTES));
+        assert_eq!(fetcher.shared().bytes_dropped(), 0);
+    }
+
+    #[test]
+    fn bytes_come_as_they_went() {
+        let mut outgoing = Outgoing::new();
+        let (mut sender, mut fetcher) = outgoing.split();
+        fetcher.shared().listen(true);
+        for len in 1..200 {
+            let message: Vec<u8> = (0..len).map(|at| at ^ len).collect();
+            assert!(sender.send(&message, || false));
+            let mut received = Vec::new();
+            while let Some(packet) = fetcher.peek() {
+                assert!(packet.is_of(0));
+                received.extend_from_slice(packet.bytes());
+                fetcher.take();
+            }
+            assert_eq!(received, message);
+        }
     }
 
     #[test]
     fn what_nobody_hears_is_counted() {
-        let mut outgoing = Outgoing::<4>::new();
+        const FULL: usize = QUEUE_PACKETS * PACKET_BYTES;
+        let mut outgoing = Outgoing::new();
         let (mut sender, mut fetcher) = outgoing.split();
         assert!(!sender.send(&[1; 10], || true));
-        fetcher.shared.listen(true);
-        // Three packets fit.
-        assert!(!sender.send(&[2; 200], || false));
-        assert_eq!(fetcher.shared.messages_dropped(), 2);
-        assert_eq!(fetcher.shared.bytes_dropped(), 10 + 200 - 192);
-        assert_eq!(lens(&mut fetcher), [64, 64, 64]);
+        let shared = fetcher.shared();
+        shared.listen(true);
+        assert!(!sender.send(&[2; FULL + 8], || false));
+        assert_eq!(shared.messages_dropped(), 2);
+        assert_eq!(shared.bytes_dropped(), 10 + 8);
+        assert_eq!(lens(&mut fetcher), [64; QUEUE_PACKETS]);
         // The session ends while the sender waits.
-        let shared = fetcher.shared;
-        let sent = sender.send(&[3; 200], || {
+        let sent = sender.send(&[3; FULL + 8], || {
             shared.begin_session();
             true
         });
@@ -256,5 +349,40 @@ mod tests {
         assert_eq!(shared.bytes_dropped(), 10 + 8 + 8);
         sender.follow();
         assert!(sender.is_heard());
+    }
+
+    #[test]
+    fn both_ends_may_run_at_once() {
+        let mut outgoing = Outgoing::new();
+        let (mut sender, mut fetcher) = outgoing.split();
+        fetcher.shared().listen(true);
+        std::thread::scope(|scope| {
+            scope.spawn(move || {
+                for seed in 0..2000_u32 {
+                    let message = [seed as u8; 150];
+                    let len = seed as usize % 150 + 1;
+                    assert!(sender.send(&message[..len], || {
+                        std::thread::yield_now();
+                        true
+                    }));
+                }
+            });
+            for seed in 0..2000_u32 {
+                let mut len = 0;
+                loop {
+                    let Some(packet) = fetcher.peek() else {
+                        std::thread::yield_now();
+                        continue;
+                    };
+                    fetcher.take();
+                    assert!(packet.bytes().iter().all(|byte| *byte == seed as u8));
+                    len += packet.bytes().len();
+                    if packet.ends() {
+                        break;
+                    }
+                }
+                assert_eq!(len, seed as usize % 150 + 1);
+            }
+        });
     }
 }

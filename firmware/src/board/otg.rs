@@ -29,8 +29,6 @@ use super::stm32f405::{CLOCK_HZ, is_emulated, start_clock};
 use crate::clock::ShortStopwatch;
 use crate::receiving;
 
-/// Packets between `main` and the controller, and one: 4 KiB, an ordinary frame.
-const PACKETS: usize = 65;
 /// Words for packets from the host: one for each endpoint, and the control endpoint's.
 const RECEIVE_WORDS: usize = 3 * PACKET_BYTES / 4;
 /// Room that is kept: the controller may take a packet between the two packets that it says it has, and
@@ -182,7 +180,7 @@ pub fn set_up(_: &mut cortex_m::Peripherals) -> Option<Sender> {
 fn connect() -> Option<(&'static mut Link, eecvs_usb_class::Sender<'static>)> {
     static RECEIVED: ConstStaticCell<[u32; RECEIVE_WORDS]> =
         ConstStaticCell::new([0; RECEIVE_WORDS]);
-    static OUTGOING: ConstStaticCell<Outgoing<PACKETS>> = ConstStaticCell::new(Outgoing::new());
+    static OUTGOING: ConstStaticCell<Outgoing> = ConstStaticCell::new(Outgoing::new());
     static SERIAL: ConstStaticCell<[u8; SERIAL_BYTES]> = ConstStaticCell::new([0; SERIAL_BYTES]);
     static ALLOCATOR: StaticCell<UsbBusAllocator<Bus>> = StaticCell::new();
     static DEVICE: StaticCell<Link> = StaticCell::new();
