@@ -43,10 +43,12 @@ struct Slot {
 }
 
 impl Slot {
-    const EMPTY: Self = Self {
-        head: AtomicU32::new(0),
-        words: [const { AtomicU32::new(0) }; WORDS],
-    };
+    const fn empty() -> Self {
+        Self {
+            head: AtomicU32::new(0),
+            words: [const { AtomicU32::new(0) }; WORDS],
+        }
+    }
 
     fn write(&self, session: u32, bytes: &[u8]) {
         let head = session << 16 | bytes.len() as u32;
@@ -136,7 +138,7 @@ impl Outgoing {
     pub const fn new() -> Self {
         const { assert!(QUEUE_PACKETS.is_power_of_two()) };
         Self {
-            slots: [Slot::EMPTY; QUEUE_PACKETS],
+            slots: [const { Slot::empty() }; QUEUE_PACKETS],
             put: AtomicU32::new(0),
             taken: AtomicU32::new(0),
             shared: Shared {

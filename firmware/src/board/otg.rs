@@ -34,6 +34,12 @@ const RECEIVE_WORDS: usize = 3 * PACKET_BYTES / 4;
 /// Room that is kept: the controller may take a packet between the two packets that it says it has, and
 /// between its driver's "go on" and the hold that follows it.
 const RESERVE_BYTES: usize = 4 * PACKET_BYTES;
+/// The controller's own memory, 1.25 KiB.
+const CONTROLLER_WORDS: usize = 320;
+/// What its driver takes of it: packets from the host and what goes with them; a packet for each of the
+/// four endpoints to the host, of at least 16 words.
+const USED_WORDS: usize = RECEIVE_WORDS + 30 + 4 * 16;
+const _: () = assert!(USED_WORDS <= CONTROLLER_WORDS);
 /// Alternate function of the OTG controller on port A.
 const AF10: u8 = 10;
 /// Where the chip has its unique number of 96 bits.
@@ -48,7 +54,7 @@ struct Otg(());
 unsafe impl UsbPeripheral for Otg {
     const REGISTERS: *const () = OTG_FS_GLOBAL::ptr().cast();
     const HIGH_SPEED: bool = false;
-    const FIFO_DEPTH_WORDS: usize = 320;
+    const FIFO_DEPTH_WORDS: usize = CONTROLLER_WORDS;
     const ENDPOINT_COUNT: usize = 4;
 
     fn enable() {

@@ -4,6 +4,7 @@
 //! process, over usbredir to a virtual machine, over USB/IP to a kernel.
 
 pub mod class_bus;
+pub mod wire;
 
 use crate::link::control::Request;
 
