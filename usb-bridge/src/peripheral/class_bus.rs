@@ -157,6 +157,12 @@ impl<'a, A: Application> ClassBus<'a, A> {
         self.device.port()
     }
 
+    /// Bytes for an endpoint that wait for the device to take them, as in a host's controller.
+    #[must_use]
+    pub fn held_bytes(&self, endpoint: u8) -> usize {
+        Self::number(endpoint).map_or(0, |number| self.held[number].len())
+    }
+
     /// Bytes from the host that were dropped, as an application that took none had filled all there is.
     #[must_use]
     pub const fn bytes_refused(&self) -> u64 {
