@@ -225,6 +225,9 @@ impl Receiving {
         #[cfg(feature = "usb")]
         self.restart();
         self.poll();
+        // Also where the ring stays full: requests are to be answered however long the encoder is busy.
+        #[cfg(feature = "usb")]
+        board::resume_receiving();
         stopwatch.stop_interrupt();
     }
 
@@ -256,6 +259,7 @@ impl Receiving {
         self.ingest.poll(&mut source, &mut Queues);
         DAMAGED_BYTES.store(self.source.damaged_bytes(), Ordering::Relaxed);
         IGNORED.store(self.source.ignored(), Ordering::Relaxed);
+        #[cfg(not(feature = "usb"))]
         if BYTES.len() < RING_BYTES / 2 {
             board::resume_receiving();
         }
