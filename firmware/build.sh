@@ -2,6 +2,8 @@
 # Builds the images of a machine: firmware/build.sh [MACHINE [BINARY [portable]]]
 #
 #   netduinoplus2   STM32F405, Cortex-M4F: boards, and QEMU's machine of that name (the default)
+#   usb             STM32F405 with USB as its link, on boards only; `encoder` alone. EECVS_CRYSTAL_MHZ
+#                   is the board's crystal: 12 unless set
 #   mps2-an386      Cortex-M4 in QEMU
 #   mps2-an500      Cortex-M7 in QEMU
 #   microbit        Cortex-M0 in QEMU: no FPU, no DSP instructions, no atomics; `golden` alone
@@ -17,10 +19,11 @@ machine=${1:-netduinoplus2}
 flags=()
 case $machine in
     netduinoplus2) target=thumbv7em-none-eabihf feature=stm32f405 ;;
+    usb) target=thumbv7em-none-eabihf feature=stm32f405,usb ;;
     mps2-an386) target=thumbv7em-none-eabihf feature=mps2 ;;
     mps2-an500) target=thumbv7em-none-eabihf feature=mps2 flags=(-C target-cpu=cortex-m7) ;;
     microbit) target=thumbv6m-none-eabi feature=microbit ;;
-    *) sed -n '2,12s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+    *) sed -n '2,14s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
 esac
 
 case ${2:-} in
@@ -33,6 +36,8 @@ if [ -n "${2:-}" ]; then
     command+=(--bin "$2")
 elif [ "$machine" = microbit ]; then
     command+=(--bin golden)
+elif [ "$machine" = usb ]; then
+    command+=(--bin encoder)
 fi
 # Its 256 KiB of flash, of which tables take a third, want small code.
 [ "$machine" != microbit ] || export CARGO_PROFILE_RELEASE_OPT_LEVEL=s

@@ -6,6 +6,7 @@ use eecvs_nostd::coder::dense::words;
 use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::{Sensor, Slot, WindowEncoder, bitmap_words, segments};
+use eecvs_usb_class::Outgoing;
 
 const RAM_BYTES: usize = 128 << 10;
 const STACK_BYTES: usize = 10 << 10;
@@ -102,4 +103,5 @@ fn the_budget_of_the_linker_script_is_true() {
     let total = rows.iter().map(|(_, bytes)| bytes).sum::<usize>();
     assert_eq!(figure("total"), total);
     assert!(total + STACK_BYTES <= RAM_BYTES);
+    assert_eq!(figure("usb queue"), size_of::<Outgoing>());
 }

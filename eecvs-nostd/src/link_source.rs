@@ -52,6 +52,18 @@ impl Link {
         self.ignored
     }
 
+    /// Begins anew with the next byte, which does not go on from those before: another host sends it.
+    /// Words that were received and not taken count as ignored, and so do `lost` bytes that did not come
+    /// this far.
+    pub fn restart(&mut self, lost: u32) {
+        if let Step::Words(at) = self.step {
+            self.ignore(self.receiver.words(at).len());
+        }
+        self.ignore(lost as usize);
+        self.receiver.restart();
+        self.step = Step::Bytes;
+    }
+
     /// The source that takes its bytes from `next_byte`.
     pub const fn source<F: FnMut() -> Option<u8>>(&mut self, next_byte: F) -> LinkSource<'_, F> {
         LinkSource {
@@ -183,5 +195,49 @@ impl<F: FnMut() -> Option<u8>> EventSource for LinkSource<'_, F> {
                 return input;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn packet(kind: Kind, body: &[u8], out: &mut [u8]) -> usize {
+        let packet = Packet {
+            kind,
+            position: 0,
+            body,
+        };
+        packet.write(out).unwrap()
+    }
+
+    #[test]
+    fn a_restart_forgets_what_is_not_whole() {
+        let mut flush = [0; 16];
+        let flush_len = packet(Kind::Flush, &[], &mut flush);
+        let mut words = [0; 32];
+        let words_len = packet(Kind::Words, &[0x80; 12], &mut words);
+        // Cut anywhere, in the middle of a packet's words too.
+        for cut in 0..words_len {
+            let mut link = Link::new();
+            let mut bytes = words[..cut].iter().copied();
+            assert_eq!(link.source(|| bytes.next()).next(), None, "{cut}");
+            link.restart(3);
+            assert_eq!(link.damaged_bytes(), cut as u32);
+            assert_eq!(link.ignored(), 3);
+            let mut bytes = flush[..flush_len].iter().copied();
+            let input = link.source(|| bytes.next()).next();
+            assert_eq!(input, Some(Input::Flush), "{cut}");
+        }
+        let mut link = Link::new();
+        let mut bytes = words[..words_len].iter().copied();
+        assert!(matches!(
+            link.source(|| bytes.next()).next(),
+            Some(Input::Word(_))
+        ));
+        link.restart(0);
+        // Two words of the packet were left.
+        assert_eq!((link.damaged_bytes(), link.ignored()), (0, 2));
+        assert_eq!(link.source(|| None).next(), None);
     }
 }

@@ -127,6 +127,7 @@ impl Encoding {
         match receiving::work() {
             Some(Work::Window(window)) => self.encode(window),
             Some(Work::Setup(setup, counts)) => {
+                self.sender.follow();
                 self.set_up(&setup);
                 self.send_status(Kind::Setup as u8, counts);
             }

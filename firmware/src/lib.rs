@@ -2,7 +2,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `board/` | set-up of a machine: clocks, pins, the UART of the link |
+//! | `board/` | set-up of a machine: clocks, pins, the UART or the USB controller of the link |
 //! | `receiving.rs` | the interrupts' side: bytes to windows |
 //! | `queue.rs` | what the two sides share |
 //! | `sensor.rs` | the place to plug in a sensor |

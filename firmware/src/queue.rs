@@ -59,6 +59,34 @@ impl<const N: usize> Ring<N> {
         self.put.store(put.wrapping_add(1), Ordering::Release);
     }
 
+    /// The place behind the byte that was put last.
+    #[must_use]
+    pub fn end(&self) -> u32 {
+        self.put.load(Ordering::Acquire)
+    }
+
+    /// Takes the oldest byte, where it was put before the place `end`, which is not before that byte.
+    #[inline]
+    pub fn take_before(&self, end: u32) -> Option<u8> {
+        match self.taken.load(Ordering::Relaxed) == end {
+            true => None,
+            false => self.take(),
+        }
+    }
+
+    /// Leaves all bytes out that were put before the place `end`, as far as they are there; returns how
+    /// many. The taking side's.
+    pub fn skip_to(&self, end: u32) -> u32 {
+        let taken = self.taken.load(Ordering::Relaxed);
+        let skipped = end.wrapping_sub(taken);
+        // Behind it already.
+        if skipped as usize > self.len() {
+            return 0;
+        }
+        self.taken.store(end, Ordering::Release);
+        skipped
+    }
+
     /// Takes the oldest byte.
     #[inline]
     pub fn take(&self) -> Option<u8> {

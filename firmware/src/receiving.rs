@@ -1,5 +1,7 @@
 //! Bytes from the link to windows: the interrupts' side.
 
+#[cfg(feature = "usb")]
+use core::sync::atomic::AtomicBool;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use cortex_m::Peripherals;
@@ -14,12 +16,14 @@ use eecvs_nostd::link_source::Link;
 use eecvs_nostd::sensor_source::SensorSource;
 
 use crate::board;
-use crate::clock::{ShortStopwatch, Stopwatch};
+#[cfg(not(feature = "usb"))]
+use crate::clock::ShortStopwatch;
+use crate::clock::Stopwatch;
 use crate::queue::{Queue, Ring};
 #[cfg(feature = "sensor")]
 use crate::sensor;
 
-/// Bytes between the UART's interrupt and PendSV: two of the longest packets.
+/// Bytes between the link's interrupt and PendSV: two of the longest packets.
 const RING_BYTES: usize = 1024;
 /// Bytes in the ring that PendSV is asked to look at.
 const MANY_BYTES: usize = 128;
@@ -98,13 +102,16 @@ pub fn start(core: &mut Peripherals) {
     if cfg!(feature = "sensor") {
         // The setup is there already.
         SCB::set_pendsv();
-    } else {
+    }
+    // A host that only takes frames has requests, too.
+    if cfg!(any(not(feature = "sensor"), feature = "usb")) {
         board::resume_receiving();
     }
 }
 
 /// The UART's interrupt: takes the byte that is there. PendSV runs when there are many, or with the
 /// timer's next interrupt.
+#[cfg(not(feature = "usb"))]
 #[inline]
 pub fn on_receive() {
     let stopwatch = ShortStopwatch::start();
@@ -121,6 +128,68 @@ pub fn on_receive() {
         }
     }
     stopwatch.stop_interrupt();
+}
+
+/// Whether a session of the USB link has begun that PendSV has not seen yet.
+#[cfg(feature = "usb")]
+static RESTARTED: AtomicBool = AtomicBool::new(false);
+/// Where its bytes begin.
+#[cfg(feature = "usb")]
+static SESSION_BEGIN: AtomicU32 = AtomicU32::new(0);
+
+/// The USB link's interrupt: bytes that [`put`] takes.
+#[cfg(feature = "usb")]
+#[must_use]
+pub fn room() -> usize {
+    RING_BYTES.saturating_sub(BYTES.len())
+}
+
+/// The USB link's interrupt: takes a packet's bytes, for which there is room.
+#[cfg(feature = "usb")]
+pub fn put(bytes: &[u8]) {
+    if cfg!(feature = "sensor") {
+        // Events come from the sensor.
+        IGNORED.fetch_add(bytes.len() as u32, Ordering::Relaxed);
+        return;
+    }
+    for byte in bytes {
+        if !BYTES.is_full() {
+            BYTES.put(*byte);
+        }
+    }
+    if BYTES.len() >= MANY_BYTES {
+        SCB::set_pendsv();
+    }
+}
+
+/// The USB link's interrupt: what was put is of a session that is over.
+#[cfg(feature = "usb")]
+pub fn restart() {
+    SESSION_BEGIN.store(BYTES.end(), Ordering::Relaxed);
+    RESTARTED.store(true, Ordering::Release);
+    SCB::set_pendsv();
+}
+
+/// The next byte; at the end of a session PendSV has to see that first.
+#[cfg(all(feature = "usb", not(feature = "sensor")))]
+#[inline]
+fn next_byte() -> Option<u8> {
+    // In this order: a byte that is there before the session is looked at is taken rightly, even where
+    // the interrupt begins one in between.
+    if BYTES.is_empty() {
+        return None;
+    }
+    match RESTARTED.load(Ordering::Acquire) {
+        true => BYTES.take_before(SESSION_BEGIN.load(Ordering::Relaxed)),
+        false => BYTES.take(),
+    }
+}
+
+/// The next byte.
+#[cfg(not(any(feature = "usb", feature = "sensor")))]
+#[inline]
+fn next_byte() -> Option<u8> {
+    BYTES.take()
 }
 
 /// PendSV's own: packets, words, events, windows.
@@ -153,7 +222,12 @@ impl Receiving {
         {
             self.ingest.set_up(&setup, windows);
         }
+        #[cfg(feature = "usb")]
+        self.restart();
         self.poll();
+        // Also where the ring stays full: requests are to be answered however long the encoder is busy.
+        #[cfg(feature = "usb")]
+        board::resume_receiving();
         stopwatch.stop_interrupt();
     }
 
@@ -167,12 +241,25 @@ impl Receiving {
         }
     }
 
+    /// Leaves out what is left of a session that is over.
+    #[cfg(feature = "usb")]
+    fn restart(&mut self) {
+        if RESTARTED.swap(false, Ordering::Acquire) {
+            let bytes = BYTES.skip_to(SESSION_BEGIN.load(Ordering::Relaxed));
+            #[cfg(not(feature = "sensor"))]
+            self.source.restart(bytes);
+            #[cfg(feature = "sensor")]
+            let _ = bytes;
+        }
+    }
+
     #[cfg(not(feature = "sensor"))]
     fn poll(&mut self) {
-        let mut source = self.source.source(|| BYTES.take());
+        let mut source = self.source.source(next_byte);
         self.ingest.poll(&mut source, &mut Queues);
         DAMAGED_BYTES.store(self.source.damaged_bytes(), Ordering::Relaxed);
         IGNORED.store(self.source.ignored(), Ordering::Relaxed);
+        #[cfg(not(feature = "usb"))]
         if BYTES.len() < RING_BYTES / 2 {
             board::resume_receiving();
         }

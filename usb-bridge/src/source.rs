@@ -4,19 +4,21 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
 use host_harness::formats;
 
 use crate::device::{self, Model, find};
-use crate::link::Link;
 use crate::link::control::Control;
 use crate::link::loopback::Attachment;
 use crate::link::replay::{Pace as ReplayPace, ReplayLink};
 use crate::link::serial::SerialLink;
 use crate::link::trace::{Place, Tracer};
 use crate::link::usb::{Attached, Bus, wait_for};
-use crate::peripheral::stream::{Pace, Recording};
+use crate::link::{Link, LinkError, Received};
+use crate::peripheral::stream::{Pace, Recording, Sent};
 use crate::session::Source;
 use crate::stop::Stop;
 
@@ -220,19 +222,54 @@ fn simulated(model: &str, path: &Path, options: &Options) -> Result<Source> {
     let file = path.to_owned();
     let open = Box::new(move || formats::open(&file, None));
     let recording = Recording::new(open, writer, options.rate, None);
+    let sent = recording.sent();
     let camera = model
         .camera(sensor, Box::new(recording))
         .with_context(unfit)?;
     let attachment = Attachment::new(model.name(), camera);
     let mut control: Box<dyn Control + Send> = Box::new(attachment.control());
     let info = model.identify(control.as_mut())?;
-    let link = attachment.stream(&model.transfers());
+    let link = Ending {
+        inner: attachment.stream(&model.transfers()),
+        sent,
+    };
     Ok(Source {
         model,
         info,
         link: traced(link, model, options)?,
         control: Some(control),
     })
+}
+
+/// A simulated camera's stream, which ends with its recording; a real camera is quiet then, for ever.
+struct Ending<L> {
+    inner: L,
+    sent: Arc<Sent>,
+}
+
+impl<L: Link> Link for Ending<L> {
+    fn name(&self) -> &str {
+        self.inner.name()
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError> {
+        // What was written before the end is still taken: only then nothing comes.
+        let is_over = self.sent.rounds() > 0;
+        if let Some(cause) = self.sent.error() {
+            return Err(LinkError::Failed {
+                link: self.inner.name().to_owned(),
+                cause: cause.to_owned(),
+            });
+        }
+        match self.inner.receive(timeout)? {
+            Received::Nothing if is_over => Ok(Received::Ended),
+            received => Ok(received),
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.inner.send(bytes)
+    }
 }
 
 #[cfg(test)]

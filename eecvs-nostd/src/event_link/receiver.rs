@@ -98,6 +98,15 @@ impl Receiver {
         bytes.map_or(&[], |bytes| bytes.as_chunks().0)
     }
 
+    /// Gives up what was received: its rest will not come. Bytes that are not of a packet that was returned
+    /// count as damaged.
+    pub fn restart(&mut self) {
+        self.release();
+        let left = self.buffer.len();
+        self.damaged_bytes = self.damaged_bytes.wrapping_add(left as u32);
+        self.discard(left);
+    }
+
     /// Gives up the packet that was returned last.
     fn release(&mut self) {
         if self.taken > 0 {

@@ -2,9 +2,9 @@
 //!
 //! | runs in | does |
 //! |---|---|
-//! | the UART's interrupt, highest priority | byte -> ring; holds the link when the ring is full |
+//! | the link's interrupt, highest priority | byte -> ring; holds the link when the ring is full |
 //! | PendSV, lowest priority | ring -> packets -> words -> events -> the open window |
-//! | `main` | closed window -> frames -> UART |
+//! | `main` | closed window -> frames -> link |
 //!
 //! Two windows take turns, so the next one is received while this one is encoded and sent.
 #![no_std]

@@ -1,15 +1,23 @@
-//! The machines. Each file sets one up and has the same items.
+//! The machines. Each file sets one up and has the same items; the STM32F405's link is one of two.
 
 #[cfg(feature = "microbit")]
 mod microbit;
 #[cfg(feature = "mps2")]
 mod mps2;
+#[cfg(feature = "usb")]
+mod otg;
 #[cfg(feature = "stm32f405")]
 mod stm32f405;
+#[cfg(all(feature = "stm32f405", not(feature = "usb")))]
+mod usart;
 
 #[cfg(feature = "microbit")]
 pub use microbit::*;
 #[cfg(feature = "mps2")]
 pub use mps2::*;
+#[cfg(feature = "usb")]
+pub use otg::*;
 #[cfg(feature = "stm32f405")]
 pub use stm32f405::*;
+#[cfg(all(feature = "stm32f405", not(feature = "usb")))]
+pub use usart::*;

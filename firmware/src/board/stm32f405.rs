@@ -1,30 +1,37 @@
-//! STM32F405 (Cortex-M4F, 168 MHz): the link is USART1 at 3 Mbaud with hardware flow control.
-//!
-//! | pin | signal |
-//! |---|---|
-//! | PA9 | TX |
-//! | PA10 | RX |
-//! | PA11 | CTS, pulled down: unconnected, the link sends without asking |
-//! | PA12 | RTS |
+//! STM32F405 (Cortex-M4F, 168 MHz). Its link is `usart.rs`, with the feature `usb` it is `otg.rs`.
 
-use core::sync::atomic::{AtomicU32, Ordering};
-
-use cortex_m::peripheral::NVIC;
-use stm32f4::stm32f405::{Interrupt, Peripherals, RCC, USART1, interrupt};
-
-use crate::receiving;
+use stm32f4::stm32f405::{Peripherals, RCC};
 
 /// Of the machine.
 pub const NAME: &str = "stm32f405";
 /// Processor clock.
 pub const CLOCK_HZ: u32 = 168_000_000;
 
-/// 84 MHz / 28 = 3 Mbaud, in sixteenths of a bit.
-const BAUD_DIVIDER: u16 = 28;
-/// Alternate function of USART1 on port A.
-const AF7: u8 = 7;
+/// Frequency of the board's crystal in MHz, from which the 48 MHz of USB come: 12 on the pyboard 1.1 and
+/// on the Feather STM32F405 Express. `EECVS_CRYSTAL_MHZ` at build time names another one.
+#[cfg(feature = "usb")]
+const CRYSTAL_MHZ: u8 = crystal(option_env!("EECVS_CRYSTAL_MHZ"));
 
-static OVERRUNS: AtomicU32 = AtomicU32::new(0);
+/// Reads of the clock control before a crystal counts as missing: above 100 ms; data sheets say 2 ms.
+#[cfg(feature = "usb")]
+const CRYSTAL_READS: u32 = 1_000_000;
+
+#[cfg(feature = "usb")]
+const fn crystal(text: Option<&str>) -> u8 {
+    let Some(text) = text else { return 12 };
+    let mhz = match text.as_bytes() {
+        [ones] if ones.is_ascii_digit() => *ones - b'0',
+        [tens, ones] if tens.is_ascii_digit() && ones.is_ascii_digit() => {
+            (*tens - b'0') * 10 + (*ones - b'0')
+        }
+        _ => 0,
+    };
+    assert!(
+        mhz >= 4 && mhz <= 26,
+        "EECVS_CRYSTAL_MHZ is a whole number from 4 to 26"
+    );
+    mhz
+}
 
 /// Whether this is an emulator, which takes semihosting calls: the real chip runs from its
 /// internal oscillator when it leaves reset, and says so; QEMU's reset and clock control reads 0.
@@ -35,57 +42,55 @@ pub fn is_emulated() -> bool {
     rcc.cr().read().hsirdy().bit_is_clear()
 }
 
-fn usart() -> &'static stm32f4::stm32f405::usart1::RegisterBlock {
-    // SAFETY: each register used here is a single word, read or written at once; the interrupt
-    // reads data, `main` writes data, and the rest is set once before both.
-    unsafe { &*USART1::ptr() }
+/// Where the main clock's 168 MHz come from.
+#[derive(Debug, Clone, Copy)]
+struct Source {
+    is_crystal: bool,
+    /// Divides the source to what `multiplier` makes 336 MHz of: at most 2 MHz.
+    divider: u8,
+    multiplier: u16,
 }
 
-/// Sending half of the link.
-#[derive(Debug)]
-pub struct Sender(());
+/// 168 MHz from the internal oscillator, which every board has: 16 MHz / 8 * 168 / 2. Its 48 MHz are too
+/// rough for USB.
+const INTERNAL: Source = Source {
+    is_crystal: false,
+    divider: 8,
+    multiplier: 168,
+};
 
-/// Sets clocks, pins and the UART up. `None` when called again.
-pub fn set_up(_: &mut cortex_m::Peripherals) -> Option<Sender> {
-    let device = Peripherals::take()?;
-    if !is_emulated() {
-        start_clock(&device);
+/// 168 MHz, and 48 MHz for USB, from the crystal: 1 MHz * 336 / 2 and / 7. Where there is none, as
+/// without the feature `usb`.
+#[cfg(feature = "usb")]
+pub(super) fn start_clock(device: &Peripherals) {
+    let rcc = &device.RCC;
+    rcc.cr().modify(|_, w| w.hseon().on());
+    let is_there = (0..CRYSTAL_READS).any(|_| rcc.cr().read().hserdy().is_ready());
+    if is_there {
+        start(
+            device,
+            Source {
+                is_crystal: true,
+                divider: CRYSTAL_MHZ,
+                multiplier: 336,
+            },
+        );
+    } else {
+        start(device, INTERNAL);
+        defmt::error!(
+            "no crystal: USB may fail; the image was built for one of {=u8} MHz",
+            CRYSTAL_MHZ
+        );
     }
-    device.RCC.ahb1enr().modify(|_, w| w.gpioaen().enabled());
-    device.RCC.apb2enr().modify(|_, w| w.usart1en().enabled());
-    let port = &device.GPIOA;
-    port.afrh().modify(|_, w| {
-        // SAFETY: every value of four bits is an alternate function.
-        unsafe {
-            w.afrh9().bits(AF7);
-            w.afrh10().bits(AF7);
-            w.afrh11().bits(AF7);
-            w.afrh12().bits(AF7)
-        }
-    });
-    port.pupdr()
-        .modify(|_, w| w.pupdr10().pull_up().pupdr11().pull_down());
-    port.ospeedr()
-        .modify(|_, w| w.ospeedr9().high_speed().ospeedr12().high_speed());
-    port.moder().modify(|_, w| {
-        w.moder9().alternate().moder10().alternate();
-        w.moder11().alternate().moder12().alternate()
-    });
-    let usart = usart();
-    // SAFETY: a divider that the clock above gives the baud rate with.
-    usart
-        .brr()
-        .write(|w| unsafe { w.div_mantissa().bits(BAUD_DIVIDER).div_fraction().bits(0) });
-    usart.cr3().write(|w| w.rtse().enabled().ctse().enabled());
-    usart.cr1().write(|w| {
-        w.te().enabled().re().enabled();
-        w.rxneie().enabled().ue().enabled()
-    });
-    Some(Sender(()))
 }
 
-/// 168 MHz from the internal oscillator, which every board has: 16 MHz / 8 * 168 / 2.
-fn start_clock(device: &Peripherals) {
+/// 168 MHz.
+#[cfg(not(feature = "usb"))]
+pub(super) fn start_clock(device: &Peripherals) {
+    start(device, INTERNAL);
+}
+
+fn start(device: &Peripherals, source: Source) {
     let rcc = &device.RCC;
     // Five wait states at 168 MHz and 3.3 V; instruction and data caches and prefetch.
     device.FLASH.acr().write(|w| {
@@ -97,11 +102,11 @@ fn start_clock(device: &Peripherals) {
         w.ppre1().div4().ppre2().div2()
     });
     rcc.pllcfgr().write(|w| {
-        w.pllsrc().hsi();
+        w.pllsrc().bit(source.is_crystal);
         // SAFETY: within 2..=63, 50..=432 and 2..=15.
         unsafe {
-            w.pllm().bits(8);
-            w.plln().bits(168);
+            w.pllm().bits(source.divider);
+            w.plln().bits(source.multiplier);
             w.pllq().bits(7)
         };
         w.pllp().div2()
@@ -110,56 +115,4 @@ fn start_clock(device: &Peripherals) {
     while rcc.cr().read().pllrdy().is_not_ready() {}
     rcc.cfgr().modify(|_, w| w.sw().pll());
     while !rcc.cfgr().read().sws().is_pll() {}
-}
-
-impl Sender {
-    /// Sends all bytes; returns when the UART has taken the last.
-    pub fn send(&mut self, bytes: &[u8]) {
-        let usart = usart();
-        for byte in bytes {
-            while usart.sr().read().txe().bit_is_clear() {}
-            usart.dr().write(|w| w.dr().set(u16::from(*byte)));
-        }
-    }
-}
-
-/// The next received byte.
-pub fn read_byte() -> Option<u8> {
-    let usart = usart();
-    let status = usart.sr().read();
-    if status.ore().bit_is_set() {
-        // The only writer. Reading the data below clears the flag.
-        OVERRUNS.store(
-            OVERRUNS.load(Ordering::Relaxed).wrapping_add(1),
-            Ordering::Relaxed,
-        );
-    }
-    if status.rxne().bit_is_clear() {
-        if status.ore().bit_is_set() {
-            let _ = usart.dr().read();
-        }
-        return None;
-    }
-    Some(usart.dr().read().dr().bits() as u8)
-}
-
-/// Times that bytes were lost because they were not read in time.
-pub fn overruns() -> u32 {
-    OVERRUNS.load(Ordering::Relaxed)
-}
-
-/// Leaves received bytes in the UART: its flow control holds the sender.
-pub fn hold_receiving() {
-    NVIC::mask(Interrupt::USART1);
-}
-
-/// Takes received bytes again.
-pub fn resume_receiving() {
-    // SAFETY: what the interrupt shares, it shares through queues.
-    unsafe { NVIC::unmask(Interrupt::USART1) };
-}
-
-#[interrupt]
-fn USART1() {
-    receiving::on_receive();
 }

@@ -27,6 +27,9 @@ pub mod unix_server;
 pub mod usbip;
 pub mod usbredir;
 
+pub mod class_bus;
+pub mod wire;
+
 use crate::link::control::Request;
 
 /// Speed of a bus.

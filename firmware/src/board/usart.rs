@@ -1,0 +1,127 @@
+//! The STM32F405's link over USART1: 3 Mbaud with hardware flow control.
+//!
+//! | pin | signal |
+//! |---|---|
+//! | PA9 | TX |
+//! | PA10 | RX |
+//! | PA11 | CTS, pulled down: unconnected, the link sends without asking |
+//! | PA12 | RTS |
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use cortex_m::peripheral::NVIC;
+use stm32f4::stm32f405::{Interrupt, Peripherals, USART1, interrupt};
+
+use super::stm32f405::{is_emulated, start_clock};
+use crate::receiving;
+
+/// 84 MHz / 28 = 3 Mbaud, in sixteenths of a bit.
+const BAUD_DIVIDER: u16 = 28;
+/// Alternate function of USART1 on port A.
+const AF7: u8 = 7;
+
+static OVERRUNS: AtomicU32 = AtomicU32::new(0);
+
+fn usart() -> &'static stm32f4::stm32f405::usart1::RegisterBlock {
+    // SAFETY: each register used here is a single word, read or written at once; the interrupt
+    // reads data, `main` writes data, and the rest is set once before both.
+    unsafe { &*USART1::ptr() }
+}
+
+/// Sending half of the link.
+#[derive(Debug)]
+pub struct Sender(());
+
+/// Sets clocks, pins and the UART up. `None` when called again.
+pub fn set_up(_: &mut cortex_m::Peripherals) -> Option<Sender> {
+    let device = Peripherals::take()?;
+    if !is_emulated() {
+        start_clock(&device);
+    }
+    device.RCC.ahb1enr().modify(|_, w| w.gpioaen().enabled());
+    device.RCC.apb2enr().modify(|_, w| w.usart1en().enabled());
+    let port = &device.GPIOA;
+    port.afrh().modify(|_, w| {
+        // SAFETY: every value of four bits is an alternate function.
+        unsafe {
+            w.afrh9().bits(AF7);
+            w.afrh10().bits(AF7);
+            w.afrh11().bits(AF7);
+            w.afrh12().bits(AF7)
+        }
+    });
+    port.pupdr()
+        .modify(|_, w| w.pupdr10().pull_up().pupdr11().pull_down());
+    port.ospeedr()
+        .modify(|_, w| w.ospeedr9().high_speed().ospeedr12().high_speed());
+    port.moder().modify(|_, w| {
+        w.moder9().alternate().moder10().alternate();
+        w.moder11().alternate().moder12().alternate()
+    });
+    let usart = usart();
+    // SAFETY: a divider that the clock above gives the baud rate with.
+    usart
+        .brr()
+        .write(|w| unsafe { w.div_mantissa().bits(BAUD_DIVIDER).div_fraction().bits(0) });
+    usart.cr3().write(|w| w.rtse().enabled().ctse().enabled());
+    usart.cr1().write(|w| {
+        w.te().enabled().re().enabled();
+        w.rxneie().enabled().ue().enabled()
+    });
+    Some(Sender(()))
+}
+
+impl Sender {
+    /// What is sent from now on is of the host that is there now: this link has but one.
+    pub fn follow(&mut self) {}
+
+    /// Sends all bytes; returns when the UART has taken the last.
+    pub fn send(&mut self, bytes: &[u8]) {
+        let usart = usart();
+        for byte in bytes {
+            while usart.sr().read().txe().bit_is_clear() {}
+            usart.dr().write(|w| w.dr().set(u16::from(*byte)));
+        }
+    }
+}
+
+/// The next received byte.
+pub fn read_byte() -> Option<u8> {
+    let usart = usart();
+    let status = usart.sr().read();
+    if status.ore().bit_is_set() {
+        // The only writer. Reading the data below clears the flag.
+        OVERRUNS.store(
+            OVERRUNS.load(Ordering::Relaxed).wrapping_add(1),
+            Ordering::Relaxed,
+        );
+    }
+    if status.rxne().bit_is_clear() {
+        if status.ore().bit_is_set() {
+            let _ = usart.dr().read();
+        }
+        return None;
+    }
+    Some(usart.dr().read().dr().bits() as u8)
+}
+
+/// Times that bytes were lost because they were not read in time.
+pub fn overruns() -> u32 {
+    OVERRUNS.load(Ordering::Relaxed)
+}
+
+/// Leaves received bytes in the UART: its flow control holds the sender.
+pub fn hold_receiving() {
+    NVIC::mask(Interrupt::USART1);
+}
+
+/// Takes received bytes again.
+pub fn resume_receiving() {
+    // SAFETY: what the interrupt shares, it shares through queues.
+    unsafe { NVIC::unmask(Interrupt::USART1) };
+}
+
+#[interrupt]
+fn USART1() {
+    receiving::on_receive();
+}
