@@ -94,7 +94,7 @@ impl Follower {
         self.end(chunk.at);
     }
 
-    /// Tells those who watch; at the end of a stream too.
+    /// Tells those who watch: where nothing comes for a while, and at the end.
     pub fn tell(&mut self) {
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         *progress = Progress {
@@ -149,7 +149,10 @@ impl LiveReader {
                 self.used = 0;
                 Some(chunk)
             }
-            Taken::Nothing => None,
+            Taken::Nothing => {
+                self.follower.tell();
+                None
+            }
             Taken::Closed => {
                 self.ended = true;
                 None

@@ -65,7 +65,10 @@ pub fn stream(session: &Session, path: &Path) -> Result<()> {
     let written = loop {
         let chunk = match session.pumped.queue.take(Duration::from_millis(50)) {
             Taken::Item(chunk) => chunk,
-            Taken::Nothing => continue,
+            Taken::Nothing => {
+                follower.tell();
+                continue;
+            }
             Taken::Closed => break Ok(()),
         };
         follower.count(&chunk, &mut events);

@@ -70,7 +70,7 @@ fn what_cannot_be_simulated_is_one_line_and_exit_status_1() {
     refused(&["none.csv"], "none.csv");
     refused(&["six.csv", "--width", "346", "--height", "260"], "346x260");
     let serve = |flag, address| [&["six.csv", flag, address], &SIZE[..]].concat();
-    refused(&serve("--usbip", "256.0.0.1:1"), "256.0.0.1:1");
+    refused(&serve("--usbip", "192.0.2.1:1"), "192.0.2.1:1");
     // A file that is no socket stays as it is.
     let path = folder.path("six.csv");
     refused(&serve("--usbredir", path.to_str().unwrap()), "six.csv");

@@ -8,13 +8,14 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use eecvs_nostd::{Event, Polarity, Sensor};
+use host_harness::formats;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use umockdev::{Mocked, under_umockdev};
 use usb_bridge::device::{Due, MODELS, Model, Stream, recognise};
 use usb_bridge::link::usb::Bus;
 use usb_bridge::link::{Link, Received, drain};
-use usb_bridge::peripheral::Speed;
+use usb_bridge::peripheral::{Peripheral, Speed};
 
 const EVENTS: usize = 60_000;
 
@@ -100,8 +101,13 @@ fn mocked(model: &dyn Model) {
     let mut writer = model.writer(sensor).unwrap();
     writer.write(&events(sensor), &mut bytes).unwrap();
     writer.finish(&mut bytes).unwrap();
-    let camera = model.camera(sensor, Box::new(Prepared { bytes, at: 0 }));
-    let camera = camera.unwrap();
+    let camera = || {
+        let bytes = bytes.clone();
+        let camera = model.camera(sensor, Box::new(Prepared { bytes, at: 0 }));
+        camera.unwrap()
+    };
+    captured(sensor, camera());
+    let camera = camera();
     let speed = camera.descriptors().speed;
     assert!(!model.needs_super_speed() || speed == Speed::Super);
     // Several models may be one on the bus, which asks the device which one it is.
@@ -114,6 +120,29 @@ fn mocked(model: &dyn Model) {
     println!("{}", model.name());
     listed(on_the_bus, &mocked);
     mocked.run_test("every_model_gives_back_every_event");
+}
+
+/// `eecvs-usb capture` writes every event.
+fn captured(sensor: Sensor, camera: Box<dyn Peripheral>) {
+    let Some(mocked) = Mocked::new(camera) else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("captured.aedat4");
+    let mut command = mocked.command_for(env!("CARGO_BIN_EXE_eecvs-usb"));
+    command.args(["capture", "--json", "--duration-s", "60", "--events"]);
+    command.arg(EVENTS.to_string()).arg("-o").arg(&path);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(said["losses"], serde_json::json!({}), "{said}");
+    let mut reader = formats::open(&path, None).unwrap();
+    let mut got = Vec::new();
+    while reader.read(&mut got).unwrap() > 0 {}
+    let expected = events(sensor);
+    assert_eq!(got.len(), expected.len(), "{said}");
+    let mut pairs = got.iter().zip(&expected);
+    assert_eq!(pairs.find(|(got, sent)| got != sent), None, "got and sent");
 }
 
 /// `eecvs-usb list` names it, free, with its firmware.

@@ -159,7 +159,10 @@ fn raw(session: &Session, fan_out: &FanOut) -> Result<()> {
     loop {
         let chunk = match session.pumped.queue.take(Duration::from_millis(100)) {
             Taken::Item(chunk) => chunk,
-            Taken::Nothing => continue,
+            Taken::Nothing => {
+                packetiser.tell();
+                continue;
+            }
             Taken::Closed => break,
         };
         packetiser.chunk(&chunk, &mut events, &mut |packet, events| {

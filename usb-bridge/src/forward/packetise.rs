@@ -66,7 +66,7 @@ impl Packetiser {
         self.follower.end(chunk.at);
     }
 
-    /// Tells those who watch, at the end of the stream.
+    /// Tells those who watch: where nothing comes for a while, and at the end.
     pub fn tell(&mut self) {
         self.follower.tell();
     }

@@ -1,0 +1,412 @@
+//! `eecvs-usb capture`, `forward` and `receive` as they are called, with cameras that are simulated inside
+//! of the program.
+
+use std::io::Read;
+use std::net::{TcpListener, UdpSocket};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+use host_harness::decode::WindowReader;
+use host_harness::formats::{self, EventWriter};
+use host_harness::frame_file::FrameReader;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
+
+const SENSOR: Sensor = Sensor {
+    width: 128,
+    height: 128,
+};
+const EVENTS: usize = 20_000;
+
+struct Folder(tempfile::TempDir);
+
+/// Events of seeded places, from 1 ms on, over about a quarter of a second.
+fn events() -> Vec<Event> {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
+    let mut t_us = 1000;
+    (0..EVENTS)
+        .map(|_| {
+            let draw = random.next_u64();
+            t_us += (draw >> 32) % 26;
+            Event {
+                t_us,
+                x: draw as u16 % SENSOR.width,
+                y: (draw >> 16) as u16 % SENSOR.height,
+                polarity: Polarity::from_bool(draw >> 63 == 1),
+            }
+        })
+        .collect()
+}
+
+impl Folder {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.raw");
+        let mut writer: Box<dyn EventWriter> = formats::create(&path, SENSOR).unwrap();
+        writer.write(&events()).unwrap();
+        writer.finish().unwrap();
+        Self(folder)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_eecvs-usb"));
+        command.current_dir(&self.0).args(arguments);
+        command
+    }
+
+    fn run(&self, arguments: &[&str]) -> Output {
+        self.command(arguments).output().unwrap()
+    }
+
+    fn start(&self, arguments: &[&str]) -> Child {
+        let mut command = self.command(arguments);
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        command.spawn().unwrap()
+    }
+
+    /// Its JSON, where it succeeds.
+    fn json(&self, arguments: &[&str]) -> serde_json::Value {
+        json(&self.run(arguments))
+    }
+}
+
+fn json(output: &Output) -> serde_json::Value {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// All events of a recording, or of frames, in the order of their times and places.
+fn read(path: &Path) -> Vec<Event> {
+    let mut events = Vec::new();
+    if path
+        .extension()
+        .is_some_and(|extension| extension == "eecvs")
+    {
+        let mut windows = WindowReader::new(FrameReader::open(path).unwrap());
+        while let Some(window) = windows.next_window().unwrap() {
+            events.extend(window.events);
+        }
+    } else {
+        let mut reader = formats::open(path, None).unwrap();
+        while reader.read(&mut events).unwrap() > 0 {}
+    }
+    sorted(events)
+}
+
+fn sorted(mut events: Vec<Event>) -> Vec<Event> {
+    events.sort_unstable();
+    events
+}
+
+/// Its events, with the first at the same time as the scene's: a camera's clock begins where it likes.
+fn shifted(mut events: Vec<Event>) -> Vec<Event> {
+    let first = events.first().map_or(0, |event| event.t_us);
+    for event in &mut events {
+        event.t_us = event.t_us - first + 1000 + (self::events()[0].t_us - 1000);
+    }
+    events
+}
+
+fn free_port() -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.local_addr().unwrap().port()
+}
+
+const CAMERA: &str = "sim:dvs128:scene.raw";
+
+#[test]
+fn every_kind_of_file_has_every_event() {
+    let folder = Folder::new();
+    for name in ["a.raw", "a.aedat4", "a.eecvs", "a.csv", "a.stream"] {
+        let arguments = [
+            "capture", "--device", CAMERA, "--rate", "max", "--json", "-o", name,
+        ];
+        let said = folder.json(&arguments);
+        assert_eq!(said["events"], EVENTS, "{name}");
+        assert_eq!(said["losses"], serde_json::json!({}), "{name}");
+        if name == "a.stream" {
+            let replay = [
+                "capture",
+                "--device",
+                "replay:a.stream",
+                "--rate",
+                "max",
+                "--json",
+            ];
+            let again = folder.json(&[&replay[..], &["-o", "b.raw"]].concat());
+            assert_eq!(again["events"], EVENTS);
+            assert_eq!(shifted(read(&folder.path("b.raw"))), sorted(events()));
+        } else {
+            let found = if name == "a.csv" {
+                let mut found = Vec::new();
+                let mut reader = formats::open(&folder.path(name), Some(SENSOR)).unwrap();
+                while reader.read(&mut found).unwrap() > 0 {}
+                sorted(found)
+            } else {
+                read(&folder.path(name))
+            };
+            assert_eq!(shifted(found), sorted(events()), "{name}");
+        }
+    }
+}
+
+#[test]
+fn every_model_that_the_scene_fits_gives_it_back() {
+    let folder = Folder::new();
+    for model in usb_bridge::device::MODELS {
+        if model.writer(SENSOR).is_none() || model.identities().is_empty() {
+            continue;
+        }
+        let name = format!("{}.raw", model.name());
+        let device = format!("sim:{}:scene.raw", model.name());
+        let arguments = [
+            "capture", "--device", &device, "--rate", "max", "--json", "-o", &name,
+        ];
+        let said = folder.json(&arguments);
+        assert_eq!(said["events"], EVENTS, "{name}: {said}");
+        assert_eq!(
+            shifted(read(&folder.path(&name))),
+            sorted(events()),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn ctrl_c_and_limits_leave_a_whole_file() {
+    let folder = Folder::new();
+    // Slowly: the scene takes minutes.
+    let slow = ["capture", "--device", CAMERA, "--rate", "0.002x", "--json"];
+    for name in ["a.aedat4", "a.eecvs", "a.raw"] {
+        let child = folder.start(&[&slow[..], &["-o", name]].concat());
+        std::thread::sleep(Duration::from_millis(700));
+        let id = child.id().to_string();
+        assert!(
+            Command::new("kill")
+                .args(["-INT", &id])
+                .status()
+                .unwrap()
+                .success()
+        );
+        let said = json(&child.wait_with_output().unwrap());
+        let written = said["events"].as_u64().unwrap() as usize;
+        assert!((1..EVENTS).contains(&written), "{said}");
+        let found = shifted(read(&folder.path(name)));
+        assert_eq!(found, sorted(events()[..written].to_vec()), "{name}");
+    }
+    let started = Instant::now();
+    let arguments = [&slow[..], &["-o", "b.raw", "--duration-s", "0.4"]].concat();
+    folder.json(&arguments);
+    assert!(started.elapsed() < Duration::from_secs(10));
+    let some = [
+        "capture", "--device", CAMERA, "--rate", "max", "--events", "100", "-o", "c.raw",
+    ];
+    assert!(folder.run(&some).status.success());
+    assert!(read(&folder.path("c.raw")).len() >= 100);
+}
+
+/// A disk that is full is a limit of the file's size here, which ends writes in the same way.
+#[test]
+fn a_full_disk_is_one_line_and_the_file_can_be_read() {
+    let folder = Folder::new();
+    // In blocks of 512 bytes: an AEDAT 4 has packets of 16,384 events, of which one fits.
+    for (name, blocks) in [
+        ("a.raw", 24),
+        ("a.aedat4", 290),
+        ("a.eecvs", 24),
+        ("a.stream", 24),
+    ] {
+        let limited = format!(
+            "trap '' XFSZ; ulimit -f {blocks}; exec {} capture --device {CAMERA} --rate max -o {name}",
+            env!("CARGO_BIN_EXE_eecvs-usb")
+        );
+        let output = Command::new("sh")
+            .current_dir(&folder.0)
+            .args(["-c", &limited])
+            .output()
+            .unwrap();
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        assert_eq!(text.lines().count(), 1, "{text}");
+        assert!(text.contains(name), "{text}");
+        let path = folder.path(name);
+        let found = match name {
+            "a.stream" => {
+                let replay = ["capture", "--device", "replay:a.stream", "--rate", "max"];
+                let output = folder.run(&[&replay[..], &["-o", "b.raw", "--overwrite"]].concat());
+                assert!(output.status.success());
+                read(&folder.path("b.raw"))
+            }
+            "a.eecvs" => read(&path),
+            _ => {
+                let mut found = Vec::new();
+                let mut reader = formats::open(&path, None).unwrap();
+                // What is cut is told, after the events before it.
+                while matches!(reader.read(&mut found), Ok(read) if read > 0) {}
+                sorted(found)
+            }
+        };
+        let written = found.len();
+        assert!((1000..EVENTS).contains(&written), "{name}: {written}");
+        assert!(path.metadata().unwrap().len() <= 512 * blocks);
+        if name != "a.eecvs" {
+            assert_eq!(
+                shifted(found),
+                sorted(events()[..written].to_vec()),
+                "{name}"
+            );
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_is_one_line_and_exit_status_1() {
+    let folder = Folder::new();
+    let refused = |arguments: &[&str], what: &str| {
+        let output = folder.run(arguments);
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {text}");
+        assert_eq!(text.lines().count(), 1, "{text}");
+        assert!(
+            text.starts_with("eecvs-usb: ") && text.contains(what),
+            "{text}"
+        );
+    };
+    refused(
+        &["capture", "-o", "a.raw", "--device", "usb:250-1"],
+        "usb:250-1",
+    );
+    refused(&["capture", "-o", "a.npz", "--device", CAMERA], "a.npz");
+    refused(
+        &["capture", "-o", "none/a.raw", "--device", CAMERA],
+        "none/a.raw",
+    );
+    refused(
+        &["capture", "-o", "a.raw", "--device", "sim:dvs128:none.raw"],
+        "none.raw",
+    );
+    refused(
+        &["capture", "-o", "a.raw", "--device", "replay:scene.raw"],
+        "scene.raw",
+    );
+    refused(
+        &["capture", "-o", "scene.raw", "--device", CAMERA],
+        "scene.raw",
+    );
+    refused(
+        &["capture", "-o", "a.raw", "--device", "serial:/dev/none"],
+        "/dev/none",
+    );
+    let port = free_port();
+    let nobody = format!("tcp://127.0.0.1:{port}");
+    refused(&["forward", "--device", CAMERA, "--to", &nobody], &nobody);
+    refused(
+        &["receive", "tcp://192.0.2.1:9", "-o", "a.eecvs"],
+        "192.0.2.1:9",
+    );
+    let usage = |arguments: &[&str]| folder.run(arguments).status.code();
+    assert_eq!(usage(&["capture", "--device", CAMERA]), Some(2));
+    assert_eq!(
+        usage(&["capture", "-o", "a.raw", "--device", "sim:nothing:a"]),
+        Some(2)
+    );
+    assert_eq!(usage(&["forward", "--to", "http://a:1"]), Some(2));
+    assert!(!folder.path("a.npz").exists());
+}
+
+/// Waits until somebody listens.
+fn listening(port: u16, kind: &str) {
+    let until = Instant::now() + Duration::from_secs(20);
+    loop {
+        let taken = match kind {
+            "udp" => UdpSocket::bind(("127.0.0.1", port)).is_err(),
+            _ => TcpListener::bind(("127.0.0.1", port)).is_err(),
+        };
+        if taken {
+            return;
+        }
+        assert!(Instant::now() < until, "nobody listens");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn frames_and_raw_packets_arrive_whole() {
+    let folder = Folder::new();
+    for (kind, what, name) in [
+        ("tcp", "frames", "a.eecvs"),
+        ("tcp", "raw", "a.raw"),
+        ("tcp", "frames", "b.raw"),
+        ("udp", "raw", "c.raw"),
+    ] {
+        let port = free_port();
+        let to = format!("{kind}://127.0.0.1:{port}");
+        let count = EVENTS.to_string();
+        let receiver = folder.start(&[
+            "receive",
+            &to,
+            "-o",
+            name,
+            "--events",
+            &count,
+            "--duration-s",
+            "20",
+            "--json",
+        ]);
+        listening(port, kind);
+        // Datagrams have no way to hold a sender up: it is not to be faster than a camera.
+        let rate = if kind == "udp" { "real" } else { "max" };
+        let sent = folder.json(&[
+            "forward", "--device", CAMERA, "--rate", rate, "--as", what, "--to", &to, "--json",
+        ]);
+        let received = json(&receiver.wait_with_output().unwrap());
+        assert_eq!(sent["consumers"][0]["sent"]["events"], EVENTS, "{sent}");
+        assert_eq!(received["events"], EVENTS, "{kind} {what}: {received}");
+        assert_eq!(received["lost_messages"], 0);
+        assert_eq!(
+            shifted(read(&folder.path(name))),
+            sorted(events()),
+            "{kind} {what}"
+        );
+    }
+}
+
+#[test]
+fn a_consumer_that_takes_nothing_is_reported_and_the_file_is_whole() {
+    let folder = Folder::new();
+    let stuck = TcpListener::bind("127.0.0.1:0").unwrap();
+    let to = format!("tcp://{}", stuck.local_addr().unwrap());
+    // Not even its own queue has room for a frame of this scene.
+    let output = folder.run(&[
+        "forward",
+        "--device",
+        CAMERA,
+        "--rate",
+        "max",
+        "--to",
+        &to,
+        "--to",
+        "file:a.eecvs",
+        "--to",
+        "-",
+    ]);
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(shifted(read(&folder.path("a.eecvs"))), sorted(events()));
+    // Standard output has the same frames, and nothing else.
+    assert_eq!(
+        output.stdout,
+        std::fs::read(folder.path("a.eecvs")).unwrap()
+    );
+    let (mut stream, _) = stuck.accept().unwrap();
+    let mut bytes = Vec::new();
+    stream.read_to_end(&mut bytes).unwrap();
+    // The system's own buffers took all there was to take, and the end is in order.
+    assert_eq!(bytes, output.stdout);
+}
