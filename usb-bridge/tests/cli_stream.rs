@@ -108,8 +108,9 @@ fn sorted(mut events: Vec<Event>) -> Vec<Event> {
 /// Its events, with the first at the same time as the scene's: a camera's clock begins where it likes.
 fn shifted(mut events: Vec<Event>) -> Vec<Event> {
     let first = events.first().map_or(0, |event| event.t_us);
+    let own = self::events()[0].t_us;
     for event in &mut events {
-        event.t_us = event.t_us - first + 1000 + (self::events()[0].t_us - 1000);
+        event.t_us = event.t_us - first + own;
     }
     events
 }
