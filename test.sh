@@ -8,7 +8,7 @@
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
 #   usb       the USB link: its tests, libusb against a mocked device, simulated cameras in a guest
 #             with a real kernel
-#   fuzz      every fuzz target for FUZZ_SECONDS (default 5)
+#   fuzz      every fuzz target for FUZZ_SECONDS (default 3)
 #   demo      the first command of the README
 #
 # What is missing is installed where that is possible; where it is not, the stage says so.
@@ -18,7 +18,17 @@ cd "$(dirname "$0")"
 # Notes what a stage leaves out.
 skip() { echo "skipped: $1"; echo "$1" >>"$SKIPPED"; }
 
+# Whether a stage is one of those that run: what it has tested is not tested again.
+ran() { [[ " $STAGES " == *" $1 "* ]]; }
+
 have() { command -v "$1" >/dev/null 2>&1; }
+
+# Packages of the system, installed if that is possible; its lists may be too old for it at first.
+packages() {
+    have apt-get || return
+    apt-get install -y -qq "$@" >/dev/null 2>&1 && return
+    apt-get update -qq >/dev/null 2>&1 && apt-get install -y -qq "$@" >/dev/null 2>&1
+}
 
 # A rustup component, installed if rustup may.
 component() {
@@ -45,12 +55,21 @@ lint() {
 umockdev() {
     have umockdev-wrapper && pkg-config --exists umockdev-1.0 && return
     echo "installing umockdev"
-    have apt-get && apt-get install -y -qq umockdev libumockdev-dev >/dev/null 2>&1 && return
+    packages umockdev libumockdev-dev && return
     skip "usb: libusb against a mocked device: apt-get cannot install umockdev"
+}
+
+# What runs the microcontroller's images, installed if that is possible.
+emulator() {
+    have qemu-system-arm && return
+    echo "installing qemu-system-arm"
+    packages qemu-system-arm
 }
 
 unit() {
     umockdev
+    # The firmware stage tells where there is none.
+    emulator || true
     # The dev profile checks arithmetic overflow and debug assertions.
     cargo test --workspace
     # The bits must not depend on the profile.
@@ -62,7 +81,7 @@ host_instructions() {
     local status=0
     if ! have valgrind; then
         echo "installing valgrind"
-        if ! { have apt-get && apt-get install -y -qq valgrind >/dev/null 2>&1; }; then
+        if ! packages valgrind; then
             skip "unit: instructions: there is no valgrind and apt-get cannot install it"
             return
         fi
@@ -106,12 +125,9 @@ qemu() {
 
 firmware() {
     local machine status
-    if ! have qemu-system-arm; then
-        echo "installing qemu-system-arm"
-        if ! { have apt-get && apt-get install -y -qq qemu-system-arm >/dev/null 2>&1; }; then
-            skip "firmware: there is no qemu-system-arm and apt-get cannot install it"
-            return
-        fi
+    if ! emulator; then
+        skip "firmware: there is no qemu-system-arm and apt-get cannot install it"
+        return
     fi
     if ! firmware/build.sh netduinoplus2; then
         skip "firmware: no core library for the target"
@@ -132,7 +148,7 @@ firmware() {
         echo "golden vectors on $machine"
         qemu "$machine" golden
     done
-    cargo test --workspace --test mcu
+    ran unit || cargo test --workspace --test mcu
     firmware/instructions.sh --check
     firmware/kernels.sh --check
     # The first events of every recording; without a number, all of them.
@@ -145,8 +161,7 @@ firmware() {
 
 usb() {
     local status=0
-    # The unit stage has run them.
-    if [[ " $STAGES " != *" unit "* ]]; then
+    if ! ran unit; then
         umockdev
         cargo test -p usb-bridge
     fi
@@ -167,7 +182,7 @@ fuzz() {
             return
         fi
     fi
-    fuzz/run.sh "${FUZZ_SECONDS:-5}"
+    fuzz/run.sh "${FUZZ_SECONDS:-3}"
 }
 
 demo() {

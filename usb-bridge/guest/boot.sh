@@ -22,8 +22,11 @@ missing() { echo "guest: $1" >&2; exit 77; }
 need() {
     command -v "$1" >/dev/null 2>&1 && return
     echo "installing $2" >&2
-    { command -v apt-get && apt-get install -y -qq --no-install-recommends "$2"; } >/dev/null 2>&1 ||
-        missing "there is no $1, and apt-get cannot install $2"
+    {
+        install() { apt-get install -y -qq --no-install-recommends "$1"; }
+        # The lists of packages may be too old for it at first.
+        command -v apt-get && { install "$2" || { apt-get update -qq && install "$2"; }; }
+    } >/dev/null 2>&1 || missing "there is no $1, and apt-get cannot install $2"
 }
 
 # The kernel and the modules, in the order in which they need each other; never installed.
@@ -34,14 +37,17 @@ kernel() {
     [ ! -e "$cache/kernel/complete" ] || return 0
     local package folder
     command -v apt-get >/dev/null 2>&1 || missing "no apt-get, which fetches the guest's kernel"
-    package=$(apt-cache depends linux-image-amd64 2>/dev/null |
-        awk '/Depends: linux-image-[0-9]/ { print $2; exit }')
-    [ -n "$package" ] || missing "apt-cache knows no linux-image-amd64: run apt-get update"
-    echo "fetching $package" >&2
     folder=$(mktemp -d)
-    if ! (cd "$folder" && apt-get download -qq "$package" >/dev/null 2>&1); then
+    fetch() {
+        package=$(apt-cache depends linux-image-amd64 2>/dev/null |
+            awk '/Depends: linux-image-[0-9]/ { print $2; exit }')
+        [ -n "$package" ] || return 1
+        echo "fetching $package" >&2
+        (cd "$folder" && apt-get download -qq "$package" >/dev/null 2>&1)
+    }
+    if ! fetch && ! { apt-get update -qq >/dev/null 2>&1 && fetch; }; then
         rm -r "$folder"
-        missing "apt-get cannot download $package"
+        missing "apt-get cannot download a kernel (linux-image-amd64)"
     fi
     rm -rf "$cache/kernel"
     mkdir -p "$cache/kernel"
