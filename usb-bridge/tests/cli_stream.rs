@@ -187,6 +187,10 @@ fn ctrl_c_and_limits_leave_a_whole_file() {
     let slow = ["capture", "--device", CAMERA, "--rate", "0.002x", "--json"];
     for name in ["a.aedat4", "a.eecvs", "a.raw"] {
         let child = folder.start(&[&slow[..], &["-o", name]].concat());
+        let until = Instant::now() + Duration::from_secs(30);
+        while !folder.path(name).exists() && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(10));
+        }
         std::thread::sleep(Duration::from_millis(700));
         let id = child.id().to_string();
         assert!(
