@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use host_harness::cmd;
+use host_harness::cmd::{self, output::end};
 
 /// Event camera windows as transform coefficients: encode, decode, compare
 #[derive(Debug, Parser)]
@@ -45,21 +45,5 @@ fn main() -> ExitCode {
         Command::Mcu(command) => command.run(),
         Command::Bench(command) => command.run(),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("eecvs: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-/// Whether stdout's reader, such as `head`, has seen enough.
-fn is_closed_pipe(error: &anyhow::Error) -> bool {
-    error.chain().any(|cause| {
-        cause
-            .downcast_ref::<std::io::Error>()
-            .is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
-    })
+    end("eecvs", result)
 }

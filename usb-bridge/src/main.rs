@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use host_harness::cmd::output::end;
 use usb_bridge::cmd;
 
 /// Event cameras and the encoder's microcontroller on USB: capture, forward, simulate
@@ -31,21 +32,5 @@ fn main() -> ExitCode {
         Command::Receive(command) => command.run(),
         Command::Simulate(command) => command.run(),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("eecvs-usb: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-/// Whether stdout's reader, such as `head`, has seen enough.
-fn is_closed_pipe(error: &anyhow::Error) -> bool {
-    error.chain().any(|cause| {
-        cause
-            .downcast_ref::<std::io::Error>()
-            .is_some_and(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
-    })
+    end("eecvs-usb", result)
 }

@@ -1,14 +1,34 @@
 //! Results on stdout.
 
-use std::io::{Write, stdout};
+use std::io::{ErrorKind, Write, stdout};
+use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Error, Result};
 use serde::Serialize;
+
+/// How a program ends: an error is one line on stderr, and exit status 1.
+pub fn end(program: &str, result: Result<()>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{program}: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Whether stdout's reader, such as `head`, has seen enough.
+fn is_closed_pipe(error: &Error) -> bool {
+    let closed = |io: &std::io::Error| io.kind() == ErrorKind::BrokenPipe;
+    let mut causes = error.chain();
+    causes.any(|cause| cause.downcast_ref().is_some_and(closed))
+}
 
 /// Prints text as it is.
 ///
 /// # Errors
-/// Stdout that cannot be written; a closed pipe is found by `main`, which takes it as the reader's
+/// Stdout that cannot be written; a closed pipe is found by [`end`], which takes it as the reader's
 /// wish to see no more.
 pub fn print(text: &str) -> Result<()> {
     let mut out = stdout().lock();
