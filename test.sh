@@ -185,11 +185,19 @@ fuzz() {
     fuzz/run.sh "${FUZZ_SECONDS:-3}"
 }
 
+# The demo's table in a document, without the rate, which is the machine's.
+demo_table() { sed -n '/^<!-- demo: /,/^<!-- demo end/p' "$1" | cut -d '|' -f 1-4,6-; }
+
 demo() {
     local folder
     folder=$(mktemp -d)
-    cargo run --release --quiet -- demo -o "$folder/demo"
+    cp README.md "$folder/"
+    cargo run --release --quiet -- demo -o "$folder/demo" --save "$folder/README.md"
     test -s "$folder/demo/report.html" -a -s "$folder/demo/dense.png"
+    if ! diff <(demo_table README.md) <(demo_table "$folder/README.md"); then
+        echo "README.md has another table than the demo: run 'eecvs demo --save README.md'"
+        return 1
+    fi
     rm -r "$folder"
 }
 

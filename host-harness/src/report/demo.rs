@@ -214,6 +214,18 @@ mod tests {
             document(&["fast", "dense", "dense50us", "auto", "dct", "dtft", "dwt"].map(row));
         let line = "| coefficients, by density | 8/15/9 | 52.3 | 24.7 | 0.090 | 120 |";
         assert_eq!(expected.lines().nth(5), Some(line));
+        // The terminal's has more digits.
+        let terminal = table(&[row("auto")]);
+        let cells: Vec<&str> = terminal
+            .lines()
+            .nth(1)
+            .unwrap()
+            .split_whitespace()
+            .collect();
+        let of_terminal = [
+            "auto", "8/15/9", "52.3", "24.68", "0.00e0", "1.0000", "0.0899", "119.6",
+        ];
+        assert_eq!(cells, of_terminal);
         let readme = of_project("README.md");
         let content = MARKS.content(&readme).unwrap();
         let name = |line: &str| line.split('|').nth(1).map(str::to_owned);
