@@ -3,11 +3,14 @@
 //! `guest-check serve SOCKET` has the devices, one after the other, on the host;
 //! `guest-check run` is the guest's side, which asks for the next one when it is done with one;
 //! `guest-check usbip` has both in the guest, with the kernel's vhci-hcd between them;
-//! `guest-check all MODEL EVENTS DIGEST ...` is all that the guest does, one after the other;
-//! `guest-check scenes FOLDER` writes a recording for every model and says what is in it;
-//! `guest-check capture MODEL EVENTS DIGEST ...` captures them in the guest.
+//! `guest-check scenes FOLDER` writes a scene for every model, and a plan (plan.rs);
+//! `guest-check recordings DATA [MODEL|MODEL:RECORDING]...` is a plan of recordings;
+//! `guest-check captures PORT MODEL NAME DIGEST ...` captures what was planned, in the guest;
+//! `guest-check all PORT MODEL NAME DIGEST ...` is all that the guest does, one after the other.
 
-mod camera;
+mod capture;
+mod digest;
+mod plan;
 mod vhci;
 
 use std::os::unix::net::UnixListener;
@@ -90,14 +93,15 @@ fn main() -> ExitCode {
         ["serve", path] => serve(path),
         ["run"] => run(),
         ["usbip"] => vhci::run(),
-        ["scenes", folder] => camera::scenes(folder),
-        ["capture", ref wanted @ ..] => camera::capture(wanted),
+        ["scenes", folder] => plan::scenes(folder),
+        ["recordings", data, ref chosen @ ..] => plan::recordings(data, chosen),
+        ["captures", ref wanted @ ..] => capture::all(wanted),
         ["all", ref wanted @ ..] => run()
             .and_then(|()| vhci::run())
-            .and_then(|()| camera::capture(wanted)),
+            .and_then(|()| capture::all(wanted)),
         _ => Err(anyhow::anyhow!(
             "usage: guest-check serve SOCKET | run | usbip | scenes FOLDER | \
-             all|capture MODEL EVENTS DIGEST ..."
+             recordings DATA [MODEL|MODEL:RECORDING]... | all|captures PORT MODEL NAME DIGEST ..."
         )),
     };
     match result {

@@ -1,0 +1,116 @@
+//! The guest's side of cameras: `eecvs-usb capture`, and a look at the file that it leaves.
+
+use std::path::Path;
+use std::process::{Command, Output};
+use std::time::Instant;
+
+use anyhow::{Context as _, Result, bail, ensure};
+use eecvs_nostd::Event;
+use host_harness::formats;
+use serde_json::Value;
+use usb_bridge::link::usb::{Attached, Bus};
+
+use super::APPEARS;
+use super::digest::Digest;
+
+/// The program under test, where `boot.sh` puts it.
+const PROGRAM: &str = "/eecvs-usb";
+/// A capture without its last event ends after this time, in seconds.
+const ENOUGH_S: &str = "120";
+
+/// A call of the program under test. Where several transfers are in flight and one is taken back, QEMU's
+/// xHCI (7.2) goes on behind all of them, and the kernel throws away what comes: none is taken back here.
+/// The simulated devices end their transfers themselves.
+pub fn program(arguments: &[&str]) -> Command {
+    let mut command = Command::new(PROGRAM);
+    command.args(arguments).args(["--hand-over-ms", "0"]);
+    command
+}
+
+/// Its JSON, where it succeeds.
+pub fn said(output: &Output) -> Result<Value> {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{}: {errors}", output.status);
+    Ok(serde_json::from_slice(&output.stdout)?)
+}
+
+/// Gives the events of a file, batch by batch.
+pub fn read(path: &Path, take: &mut dyn FnMut(&[Event])) -> Result<()> {
+    let mut reader = formats::open(path, None)?;
+    let mut events = Vec::new();
+    while reader.read(&mut events)? > 0 {
+        take(&events);
+        events.clear();
+    }
+    Ok(())
+}
+
+/// Captures what was sent from each camera of `PORT MODEL NAME DIGEST`.
+pub fn all(wanted: &[&str]) -> Result<()> {
+    for one in wanted.chunks(4) {
+        let [port, model, name, digest] = *one else {
+            bail!("{one:?}: not PORT MODEL NAME DIGEST");
+        };
+        let port = port.parse().context("PORT")?;
+        let sent: Digest = digest.parse().context("DIGEST")?;
+        let told = capture(port, model, &sent).with_context(|| format!("{model}, {name}"))?;
+        println!("ok: {model}, {name}: {told}");
+    }
+    Ok(())
+}
+
+/// Whether a model's events come in the order in which they are sent: the others send those of a time by
+/// column, or by pixel.
+fn keeps_order(model: &str) -> bool {
+    !["dvxplorer-mipi", "eecvs"].contains(&model)
+}
+
+/// Captures from the camera at a port of the only controller.
+fn capture(port: u8, model: &str, sent: &Digest) -> Result<String> {
+    let started = Instant::now();
+    let camera = attached(port)?;
+    let path = Path::new("/tmp/captured.aedat4");
+    let mut command = program(&["capture", "--json", "--duration-s", ENOUGH_S]);
+    command.args([
+        "--device",
+        &camera.id(),
+        "--events",
+        &sent.events.to_string(),
+        "-o",
+    ]);
+    let said = said(&command.arg(path).output().context(PROGRAM)?)?;
+    let mut found = Digest::default();
+    read(path, &mut |events| found.take(events))?;
+    std::fs::remove_file(path)?;
+    let lost = &said["losses"];
+    ensure!(
+        lost.as_object().is_some_and(|lost| lost.is_empty()),
+        "lost: {lost}"
+    );
+    found.require(sent, keeps_order(model))?;
+    let order = if keeps_order(model) {
+        "in order"
+    } else {
+        "by time"
+    };
+    Ok(format!(
+        "{} events, {order}, {} bytes, {:.1} s of streaming, {:.1} s in all",
+        found.events,
+        said["bytes"],
+        said["seconds"].as_f64().unwrap_or(f64::NAN),
+        started.elapsed().as_secs_f64()
+    ))
+}
+
+/// The device at a port, when it has appeared.
+fn attached(port: u8) -> Result<Attached> {
+    let until = Instant::now() + APPEARS;
+    loop {
+        let devices = Bus::new()?.devices()?;
+        if let Some(found) = devices.into_iter().find(|one| one.ports == [port]) {
+            return Ok(found);
+        }
+        ensure!(Instant::now() < until, "nothing appears at port {port}");
+        std::thread::sleep(std::time::Duration::from_millis(100));
+    }
+}
