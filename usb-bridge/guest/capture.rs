@@ -12,6 +12,7 @@ use usb_bridge::link::usb::{Attached, Bus};
 
 use super::APPEARS;
 use super::digest::Digest;
+use super::recordings::keeps_order;
 
 /// The program under test, where `boot.sh` puts it.
 const PROGRAM: &str = "/eecvs-usb";
@@ -57,12 +58,6 @@ pub fn all(wanted: &[&str]) -> Result<()> {
         println!("ok: {model}, {name}: {told}");
     }
     Ok(())
-}
-
-/// Whether a model's events come in the order in which they are sent: the others send those of a time by
-/// column, or by pixel.
-fn keeps_order(model: &str) -> bool {
-    !["dvxplorer-mipi", "eecvs"].contains(&model)
 }
 
 /// Captures from the camera at a port of the only controller.

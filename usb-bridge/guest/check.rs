@@ -11,6 +11,7 @@
 mod capture;
 mod digest;
 mod plan;
+mod recordings;
 mod vhci;
 
 use std::os::unix::net::UnixListener;

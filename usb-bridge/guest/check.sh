@@ -15,7 +15,7 @@ set -euo pipefail
 offer sequence "$check" serve SOCKET
 "$check" scenes "$work" >"$work/plan"
 if [ -e "$data/REFERENCE.json" ]; then
-    "$check" recordings "$data" davis346:davis346_building_dense evk4:gen3_vga_dense_evt2 \
+    "$check" recordings "$data" davis346:davis346_building_dense evk3-hd:gen3_vga_dense_evt2 \
         eecvs:dvs128_walking_moderate >>"$work/plan"
 else
     echo "skipped: recordings: there is no $data"

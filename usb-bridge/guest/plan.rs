@@ -11,15 +11,15 @@
 
 use std::path::Path;
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use eecvs_nostd::{Event, Polarity, Sensor};
 use host_harness::formats;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
-use serde::Deserialize;
 use usb_bridge::device::{MODELS, Model};
 
 use super::digest::Digest;
+use super::recordings::{self, Recording, cross_2_31_us};
 
 /// Events of a scene.
 const EVENTS: usize = 100_000;
@@ -86,60 +86,30 @@ pub fn scene(sensor: Sensor, count: usize) -> Vec<Event> {
     events
 }
 
-/// A recording as REFERENCE.json has it.
-#[derive(Deserialize)]
-struct Reference {
-    name: String,
-    files: Vec<String>,
-    width: u16,
-    height: u16,
-}
-
 /// A line for every recording in `data` and every model that it fits; of `chosen` only, each a `MODEL` or
 /// a `MODEL:RECORDING`, where there are any.
 pub fn recordings(data: &str, chosen: &[&str]) -> Result<()> {
-    let path = Path::new(data).join("REFERENCE.json");
-    let name = path.display();
-    let text = std::fs::read_to_string(&path).with_context(|| name.to_string())?;
-    let all: Vec<Reference> = serde_json::from_str(&text).with_context(|| name.to_string())?;
-    for one in &all {
-        let recording = &one.name;
-        let is_chosen = |model: &&&dyn Model| {
-            let (model, both) = (model.name(), format!("{}:{recording}", model.name()));
+    for recording in recordings::all(Path::new(data))? {
+        let Recording { name, sensor, path } = &recording;
+        let is_chosen = |model: &str| {
+            let both = format!("{model}:{name}");
             chosen.is_empty() || chosen.iter().any(|one| *one == model || *one == both)
         };
-        let sensor = Sensor::new(one.width, one.height).with_context(|| recording.clone())?;
-        let fits = |model: &&&dyn Model| is_chosen(model) && model.writer(sensor).is_some();
+        let fits = |model: &&&dyn Model| is_chosen(model.name()) && model.writer(*sensor).is_some();
         let models: Vec<_> = MODELS.iter().filter(fits).collect();
         if models.is_empty() {
             continue;
         }
-        // The same events in several formats: the first that has a reader.
-        let mut paths = one
-            .files
-            .iter()
-            .map(|file| path.with_file_name(recording).join(file));
-        let Some(path) = paths.find(|path| formats::open(path, Some(sensor)).is_ok()) else {
-            eprintln!("skipped: {recording}: its format has no reader");
-            continue;
-        };
-        let mut reader = formats::open(&path, Some(sensor))?;
-        let mut events = Vec::new();
-        while reader.read(&mut events)? > 0 {}
+        let events = recording.events(usize::MAX)?;
         for model in models {
-            line(*model, recording, sensor, events.clone(), &path);
+            line(*model, name, *sensor, events.clone(), path);
         }
     }
     Ok(())
 }
 
 fn line(model: &dyn Model, name: &str, sensor: Sensor, mut events: Vec<Event>, path: &Path) {
-    let first_us = events.first().map_or(0, |event| event.t_us);
-    let latest_us = events.last().map_or(0, |event| event.t_us);
-    let start_us = (1 << 31) - (latest_us - first_us) / 2;
-    for event in &mut events {
-        event.t_us = event.t_us - first_us + start_us;
-    }
+    let start_us = cross_2_31_us(&mut events);
     let mut digest = Digest::default();
     digest.take(&events);
     let Sensor { width, height } = sensor;
