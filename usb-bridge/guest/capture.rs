@@ -1,8 +1,10 @@
 //! The guest's side of cameras: `eecvs-usb capture`, and a look at the file that it leaves.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use std::time::Instant;
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use eecvs_nostd::Event;
@@ -16,6 +18,8 @@ use super::recordings::keeps_order;
 
 /// The program under test, where `boot.sh` puts it.
 const PROGRAM: &str = "/eecvs-usb";
+/// Captures at a time.
+const AT_ONCE: usize = 3;
 /// A capture without its last event ends after this time, in seconds.
 const ENOUGH_S: &str = "120";
 
@@ -46,25 +50,42 @@ pub fn read(path: &Path, take: &mut dyn FnMut(&[Event])) -> Result<()> {
     Ok(())
 }
 
-/// Captures what was sent from each camera of `PORT MODEL NAME DIGEST`.
+/// Captures what was sent from each camera of `PORT MODEL NAME DIGEST`, some at a time: most of the time
+/// they wait.
 pub fn all(wanted: &[&str]) -> Result<()> {
-    for one in wanted.chunks(4) {
-        let [port, model, name, digest] = *one else {
-            bail!("{one:?}: not PORT MODEL NAME DIGEST");
-        };
-        let port = port.parse().context("PORT")?;
-        let sent: Digest = digest.parse().context("DIGEST")?;
-        let told = capture(port, model, &sent).with_context(|| format!("{model}, {name}"))?;
-        println!("ok: {model}, {name}: {told}");
-    }
-    Ok(())
+    let wanted = Mutex::new(wanted.chunks(4));
+    let work = || -> Result<()> {
+        loop {
+            let next = wanted.lock().unwrap_or_else(PoisonError::into_inner).next();
+            match next {
+                Some(&[port, model, name, digest]) => {
+                    let port = port.parse().context("PORT")?;
+                    let sent = digest.parse().context("DIGEST")?;
+                    let told = capture(port, model, &sent);
+                    println!(
+                        "ok: {model}, {name}: {}",
+                        told.with_context(|| format!("{model}, {name}"))?
+                    );
+                }
+                Some(other) => bail!("{other:?}: not PORT MODEL NAME DIGEST"),
+                None => return Ok(()),
+            }
+        }
+    };
+    thread::scope(|scope| {
+        let workers: Vec<_> = (0..AT_ONCE).map(|_| scope.spawn(work)).collect();
+        let ends = workers
+            .into_iter()
+            .map(|one| one.join().expect("a capture's thread"));
+        ends.fold(Ok(()), Result::and)
+    })
 }
 
 /// Captures from the camera at a port of the only controller.
 fn capture(port: u8, model: &str, sent: &Digest) -> Result<String> {
     let started = Instant::now();
     let camera = attached(port)?;
-    let path = Path::new("/tmp/captured.aedat4");
+    let path = PathBuf::from(format!("/tmp/{port}.aedat4"));
     let mut command = program(&["capture", "--json", "--duration-s", ENOUGH_S]);
     command.args([
         "--device",
@@ -73,10 +94,10 @@ fn capture(port: u8, model: &str, sent: &Digest) -> Result<String> {
         &sent.events.to_string(),
         "-o",
     ]);
-    let said = said(&command.arg(path).output().context(PROGRAM)?)?;
+    let said = said(&command.arg(&path).output().context(PROGRAM)?)?;
     let mut found = Digest::default();
-    read(path, &mut |events| found.take(events))?;
-    std::fs::remove_file(path)?;
+    read(&path, &mut |events| found.take(events))?;
+    std::fs::remove_file(&path)?;
     let lost = &said["losses"];
     ensure!(
         lost.as_object().is_some_and(|lost| lost.is_empty()),
@@ -106,6 +127,6 @@ fn attached(port: u8) -> Result<Attached> {
             return Ok(found);
         }
         ensure!(Instant::now() < until, "nothing appears at port {port}");
-        std::thread::sleep(std::time::Duration::from_millis(100));
+        thread::sleep(Duration::from_millis(100));
     }
 }
