@@ -89,13 +89,15 @@ pub fn scene(sensor: Sensor, count: usize) -> Vec<Event> {
 /// A line for every recording in `data` and every model that it fits; of `chosen` only, each a `MODEL` or
 /// a `MODEL:RECORDING`, where there are any.
 pub fn recordings(data: &str, chosen: &[&str]) -> Result<()> {
-    for recording in recordings::all(Path::new(data))? {
+    let is_chosen = |model: &str, name: &str| {
+        let both = format!("{model}:{name}");
+        chosen.is_empty() || chosen.iter().any(|one| *one == model || *one == both)
+    };
+    let wanted = |name: &str| MODELS.iter().any(|model| is_chosen(model.name(), name));
+    for recording in recordings::all(Path::new(data), &wanted)? {
         let Recording { name, sensor, path } = &recording;
-        let is_chosen = |model: &str| {
-            let both = format!("{model}:{name}");
-            chosen.is_empty() || chosen.iter().any(|one| *one == model || *one == both)
-        };
-        let fits = |model: &&&dyn Model| is_chosen(model.name()) && model.writer(*sensor).is_some();
+        let fits =
+            |model: &&&dyn Model| is_chosen(model.name(), name) && model.writer(*sensor).is_some();
         let models: Vec<_> = MODELS.iter().filter(fits).collect();
         if models.is_empty() {
             continue;

@@ -23,18 +23,19 @@ struct Reference {
     height: u16,
 }
 
-/// Every recording of a folder; those whose format has no reader are named on stderr.
+/// The recordings of a folder whose names are `wanted`; those whose format has no reader are named on
+/// stderr.
 ///
 /// # Errors
 /// The folder has no list of them.
-pub fn all(data: &Path) -> Result<Vec<Recording>> {
+pub fn all(data: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Recording>> {
     let list = data.join("REFERENCE.json");
     let name = list.display();
     let text = std::fs::read_to_string(&list).with_context(|| name.to_string())?;
     let references: Vec<Reference> =
         serde_json::from_str(&text).with_context(|| name.to_string())?;
     let mut all = Vec::new();
-    for one in references {
+    for one in references.into_iter().filter(|one| wanted(&one.name)) {
         let sensor = Sensor::new(one.width, one.height).with_context(|| one.name.clone())?;
         // The same events in several formats.
         let mut paths = one.files.iter().map(|file| data.join(&one.name).join(file));

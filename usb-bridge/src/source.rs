@@ -103,7 +103,12 @@ fn usb(id: Option<&str>, options: &Options, stop: &Stop) -> Result<Source> {
         attached.require_super_speed()?;
     }
     let mut transfers = model.transfers();
-    if let Some(timeout) = options.hand_over {
+    let never = || {
+        attached
+            .loses_what_is_taken_back()
+            .then_some(Duration::ZERO)
+    };
+    if let Some(timeout) = options.hand_over.or_else(never) {
         transfers.timeout = timeout;
     }
     let opened = attached.open(transfers.interface)?;

@@ -30,9 +30,8 @@ pub struct DeviceOptions {
     #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
     rate: Pace,
 
-    /// Have a transfer on USB that nothing ended back after this time, as far as it was filled, in
-    /// milliseconds; 0: never, for a virtual machine whose controller loses bytes by it, as QEMU's xHCI
-    /// does [default: the model's, 100]
+    /// Take a transfer on USB that nothing has ended back after this time, as far as it was filled, in
+    /// milliseconds; 0: never [default: the model's, 100; 0 at QEMU's xHCI, which loses bytes by it]
     #[arg(long, value_name = "MS")]
     hand_over_ms: Option<u16>,
 

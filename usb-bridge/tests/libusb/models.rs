@@ -10,6 +10,7 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 use host_harness::formats;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
+use serde_json::Value;
 use usb_bridge::device::{Due, MODELS, Model, Stream, find, recognise};
 use usb_bridge::link::usb::Bus;
 use usb_bridge::link::{Link, Received, drain};
@@ -107,7 +108,7 @@ fn recordings_of(model: &dyn Model) -> Vec<Recording> {
         eprintln!("skipped: recordings: {} is absent", data.display());
         return Vec::new();
     }
-    let mut all = recordings::all(&data).unwrap();
+    let mut all = recordings::all(&data, &|_| true).unwrap();
     all.retain(|one| model.writer(one.sensor).is_some());
     all
 }
@@ -186,10 +187,41 @@ fn capture_has_every_event() {
         }
         let stream = Prepared::boxed(model, sensor, &events);
         let camera = model.camera(sensor, stream).unwrap();
-        if let Some(got) = captured(camera, events.len()) {
-            assert_same(model, got, events, "cuts of the recordings");
+        let Some((got, said)) = captured(camera, events.len()) else {
+            return;
+        };
+        assert_same(model, got, events, "cuts of the recordings");
+        // A word may stand for many wraps of 2^15 us: 2^31 us are 2^16 of them.
+        if ["davis240", "davis346", "dvxplorer"].contains(&model.name()) {
+            let wraps = said["words"]["wraps"].as_u64().unwrap_or(0);
+            assert!((16..4096).contains(&wraps), "{said}");
         }
     });
+}
+
+#[test]
+fn transfers_are_taken_back_when_they_are_asked_to_be() {
+    let model = model("dvs128");
+    let sensor = sensor(model).unwrap();
+    for (wanted, most) in [("0", 0), ("20", usize::MAX)] {
+        // All that it sends is there at once: the rest of the time is a pause.
+        let stream = Prepared::boxed(model, sensor, &scene(sensor));
+        let Some(mocked) = Mocked::new(model.camera(sensor, stream).unwrap()) else {
+            return;
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let mut command = mocked.command_for(env!("CARGO_BIN_EXE_eecvs-usb"));
+        command.current_dir(folder.path());
+        command.args(["capture", "-o", "a.raw", "--duration-s", "0.6"]);
+        let output = command.args(["--hand-over-ms", wanted]).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        // The last ones are when the stream ends.
+        let paused = mocked.with_usbfs(|usbfs| usbfs.discarded) - model.transfers().count;
+        assert!(
+            (0..=most).contains(&paused) && (paused > 0) == (most > 0),
+            "{paused}"
+        );
+    }
 }
 
 /// `./test.sh usb-recordings` runs it.
@@ -210,7 +242,7 @@ fn capture_has_every_event_of_every_recording() {
             let camera = model.camera(sensor, Box::new(played)).unwrap();
             let started = Instant::now();
             let count = events.len();
-            if let Some(got) = captured(camera, count) {
+            if let Some((got, _)) = captured(camera, count) {
                 assert_same(model, got, events, &name);
                 let (model, seconds) = (model.name(), started.elapsed().as_secs_f64());
                 println!("ok: {model}, {name}: {count} events, {seconds:.1} s");
@@ -219,8 +251,8 @@ fn capture_has_every_event_of_every_recording() {
     });
 }
 
-/// What `eecvs-usb capture` writes of a camera that sends so many events.
-fn captured(camera: Box<dyn Peripheral>, events: usize) -> Option<Vec<Event>> {
+/// What `eecvs-usb capture` writes, and says, of a camera that sends so many events.
+fn captured(camera: Box<dyn Peripheral>, events: usize) -> Option<(Vec<Event>, Value)> {
     let mocked = Mocked::new(camera)?;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("captured.aedat4");
@@ -229,12 +261,12 @@ fn captured(camera: Box<dyn Peripheral>, events: usize) -> Option<Vec<Event>> {
     command.arg(events.to_string()).arg("-o").arg(&path);
     let output = command.output().unwrap();
     assert!(output.status.success(), "{output:?}");
-    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let said: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(said["losses"], serde_json::json!({}), "{said}");
     let mut reader = formats::open(&path, None).unwrap();
     let mut got = Vec::new();
     while reader.read(&mut got).unwrap() > 0 {}
-    Some(got)
+    Some((got, said))
 }
 
 /// `eecvs-usb list` names it, free, with its firmware.
@@ -242,7 +274,7 @@ fn listed(model: &dyn Model, mocked: &Mocked) {
     let mut command: Command = mocked.command_for(env!("CARGO_BIN_EXE_eecvs-usb"));
     let output = command.args(["list", "--json"]).output().unwrap();
     assert!(output.status.success(), "{output:?}");
-    let rows: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let rows: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(rows.as_array().map(Vec::len), Some(1), "{rows}");
     let row = &rows[0];
     assert_eq!(row["model"], model.name());
