@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Every check of the project, headless. `./test.sh` runs all of them, `./test.sh STAGE...` some:
+# Every check of the project, headless. `./test.sh` runs all of them but the long ones, `./test.sh STAGE...` some:
 #
 #   lint      formatting, clippy, documentation
 #   unit      unit, property, golden, format, end-to-end tests; shared recordings where present;
@@ -8,6 +8,8 @@
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
 #   usb       the USB link: its tests, libusb against a mocked device, simulated cameras in a guest
 #             with a real kernel
+#   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
+#             it is named
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 3)
 #   demo      the first command of the README
 #
@@ -170,6 +172,17 @@ usb() {
     [ "$status" = 0 ] || [ "$status" = 77 ]
 }
 
+usb-recordings() {
+    local status=0
+    umockdev
+    # Also builds what the guest runs.
+    cargo test -p usb-bridge --no-run
+    cargo test -p usb-bridge --test libusb -- --ignored --nocapture
+    usb-bridge/guest/recordings.sh || status=$?
+    [ "$status" != 77 ] || skip "usb-recordings: see above what is missing"
+    [ "$status" = 0 ] || [ "$status" = 77 ]
+}
+
 fuzz() {
     if ! have c++; then
         skip "fuzz: libFuzzer needs a C++ compiler"
@@ -211,7 +224,7 @@ stages=("$@")
 [ ${#stages[@]} -gt 0 ] || stages=(lint unit nostd firmware usb fuzz demo)
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | nostd | firmware | usb | fuzz | demo) ;;
+        lint | unit | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: no stage '$stage'; see the head of this file" >&2; exit 2 ;;
     esac
 done

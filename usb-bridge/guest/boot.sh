@@ -3,8 +3,9 @@
 #
 #   boot.sh [-s SOCKET]... [-f FILE]... [-i] PROGRAM [ARGUMENT...]
 #
-# -s SOCKET   a usbredir device that waits at this Unix socket, on an xHCI bus; several are possible
-# -f FILE     a file for the guest's root, under its own name; several are possible
+# -s SOCKET   a usbredir device that waits at this Unix socket, on an xHCI bus: the first at port 1, up
+#             to 15 are possible
+# -f FILE     a file or a program for the guest's root, under its own name; several are possible
 # -i          with the kernel's USB/IP host (vhci-hcd)
 #
 # The guest has a kernel of Debian with its modules of USB, busybox, PROGRAM with its libraries, and
@@ -81,11 +82,19 @@ trap 'rm -r "$work"' EXIT
 root=$work/root
 mkdir -p "$root"/{bin,dev,proc,sys,tmp,modules}
 cp "$(command -v busybox)" "$root/bin/busybox"
-cp "$1" "$root/bin/"
-[ ${#files[@]} -eq 0 ] || cp "${files[@]}" "$root/"
-for library in $(ldd "$1" | grep -o '/[^ )]*'); do
-    mkdir -p "$root$(dirname "$library")"
-    cp "$library" "$root$library"
+# Without what debuggers read, which is most of it and takes the guest long to unpack.
+bare() {
+    cp "$1" "$2"
+    ! command -v strip >/dev/null 2>&1 || strip "$2/$(basename "$1")" 2>/dev/null || true
+}
+bare "$1" "$root/bin"
+for file in "${files[@]}"; do bare "$file" "$root"; done
+for file in "$1" "${files[@]}"; do
+    # What is no program has no libraries.
+    for library in $({ ldd "$file" 2>/dev/null || true; } | grep -o '/[^ )]*'); do
+        mkdir -p "$root$(dirname "$library")"
+        cp "$library" "$root$library"
+    done
 done
 for module in "${modules[@]:0:load}"; do
     cp "$cache/kernel/${module##*/}.ko" "$root/modules/"
@@ -111,7 +120,7 @@ chmod +x "$root/init"
 devices=()
 for number in "${!sockets[@]}"; do
     devices+=(-chardev "socket,id=c$number,path=${sockets[number]}"
-        -device "usb-redir,chardev=c$number,bus=x.0")
+        -device "usb-redir,chardev=c$number,bus=x.0,port=$((number + 1))")
 done
 status=0
 timeout --foreground "$GUEST_SECONDS" qemu-system-x86_64 \

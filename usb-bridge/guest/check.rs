@@ -3,11 +3,16 @@
 //! `guest-check serve SOCKET` has the devices, one after the other, on the host;
 //! `guest-check run` is the guest's side, which asks for the next one when it is done with one;
 //! `guest-check usbip` has both in the guest, with the kernel's vhci-hcd between them;
-//! `guest-check all MODEL EVENTS DIGEST ...` is all that the guest does, one after the other;
-//! `guest-check scenes FOLDER` writes a recording for every model and says what is in it;
-//! `guest-check capture MODEL EVENTS DIGEST ...` captures them in the guest.
+//! `guest-check scenes FOLDER` writes a scene for every model, and a plan (plan.rs);
+//! `guest-check recordings DATA [MODEL|MODEL:RECORDING]...` is a plan of recordings;
+//! `guest-check captures PORT MODEL NAME DIGEST ...` captures what was planned, in the guest;
+//! `guest-check all PORT MODEL NAME DIGEST ...` is all that the guest does, one after the other.
 
-mod camera;
+mod cable;
+mod capture;
+mod digest;
+mod plan;
+mod recordings;
 mod vhci;
 
 use std::os::unix::net::UnixListener;
@@ -88,16 +93,18 @@ fn main() -> ExitCode {
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let result = match arguments[..] {
         ["serve", path] => serve(path),
-        ["run"] => run(),
+        ["run"] => run().and_then(|()| cable::run()),
         ["usbip"] => vhci::run(),
-        ["scenes", folder] => camera::scenes(folder),
-        ["capture", ref wanted @ ..] => camera::capture(wanted),
+        ["scenes", folder] => plan::scenes(folder),
+        ["recordings", data, ref chosen @ ..] => plan::recordings(data, chosen),
+        ["captures", ref wanted @ ..] => capture::all(wanted),
         ["all", ref wanted @ ..] => run()
+            .and_then(|()| cable::run())
             .and_then(|()| vhci::run())
-            .and_then(|()| camera::capture(wanted)),
+            .and_then(|()| capture::all(wanted)),
         _ => Err(anyhow::anyhow!(
             "usage: guest-check serve SOCKET | run | usbip | scenes FOLDER | \
-             all|capture MODEL EVENTS DIGEST ..."
+             recordings DATA [MODEL|MODEL:RECORDING]... | all|captures PORT MODEL NAME DIGEST ..."
         )),
     };
     match result {
@@ -130,17 +137,23 @@ fn serve(path: &str) -> Result<()> {
 
 /// Plugs in the device of a case; a note of the guest replaces it by the next.
 fn plug(number: usize, changes: &Sender<Change>) -> Change {
-    let Some(case) = CASES.get(number) else {
-        return Change::Unplug;
-    };
-    let changes = changes.clone();
-    let device = (case.device)().named(case.name).on_note(move |note| {
+    let to = changes.clone();
+    let next = move || {
         // Whoever has the other end of the channel has ended, otherwise.
-        if note == b"next" {
-            let _ = changes.send(plug(number + 1, &changes));
-        }
-    });
-    Change::Plug(Box::new(device))
+        let _ = to.send(plug(number + 1, &to));
+    };
+    if let Some(case) = CASES.get(number) {
+        let device = (case.device)().named(case.name).on_note(move |note| {
+            if note == b"next" {
+                next();
+            }
+        });
+        return Change::Plug(Box::new(device));
+    }
+    match cable::CASES.get(number - CASES.len()) {
+        Some(case) => Change::Plug(Box::new(case.director(changes.clone(), next))),
+        None => Change::Unplug,
+    }
 }
 
 /// The guest's side.

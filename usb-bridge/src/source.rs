@@ -71,6 +71,8 @@ pub struct Options {
     pub rate: Pace,
     /// File that gets every transfer.
     pub trace: Option<PathBuf>,
+    /// On USB, in place of the model's [`device::Transfers::timeout`]; zero: never.
+    pub hand_over: Option<Duration>,
 }
 
 /// Opens a device and asks it what it is; without a name the only one on USB.
@@ -100,7 +102,15 @@ fn usb(id: Option<&str>, options: &Options, stop: &Stop) -> Result<Source> {
     if model.needs_super_speed() {
         attached.require_super_speed()?;
     }
-    let transfers = model.transfers();
+    let mut transfers = model.transfers();
+    let never = || {
+        attached
+            .loses_what_is_taken_back()
+            .then_some(Duration::ZERO)
+    };
+    if let Some(timeout) = options.hand_over.or_else(never) {
+        transfers.timeout = timeout;
+    }
     let opened = attached.open(transfers.interface)?;
     let tracer = tracer(options, place(&attached, model), &attached.name())?;
     let mut control: Box<dyn Control + Send> = match &tracer {

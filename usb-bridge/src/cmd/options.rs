@@ -30,6 +30,11 @@ pub struct DeviceOptions {
     #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
     rate: Pace,
 
+    /// Take a transfer on USB that nothing has ended back after this time, as far as it was filled, in
+    /// milliseconds; 0: never [default: the model's, 100; 0 at QEMU's xHCI, which loses bytes by it]
+    #[arg(long, value_name = "MS")]
+    hand_over_ms: Option<u16>,
+
     /// Also write every transfer to a file that Wireshark opens
     #[arg(long, value_name = "FILE.pcapng")]
     trace: Option<PathBuf>,
@@ -47,6 +52,7 @@ impl DeviceOptions {
                 wait: self.wait,
                 rate: self.rate,
                 trace: self.trace.clone(),
+                hand_over: self.hand_over_ms.map(|ms| Duration::from_millis(ms.into())),
             },
             stop,
         )

@@ -7,7 +7,6 @@
 //!                                                  | a socket, see there
 //! this process: usbfs as the kernel answers it -> Peripheral
 //! ```
-#![allow(dead_code, reason = "not every test uses all of it")]
 
 pub mod usbfs;
 
@@ -135,17 +134,23 @@ impl Mocked {
         self.command(&format!("remove /sys{SYSPATH}\n"));
     }
 
+    fn set_mode(&self, path: &str, mode: u32) {
+        use std::os::unix::fs::PermissionsExt;
+        let path = Path::new(&self.root).join(path);
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).unwrap();
+    }
+
     /// Nobody but root may open the device; the rest can be seen by everybody.
     pub fn forbid(&self) {
-        use std::os::unix::fs::PermissionsExt;
-        let set = |path: &str, mode| {
-            let path = Path::new(&self.root).join(path);
-            std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).unwrap();
-        };
         // The preloaded library makes its sockets there.
-        set("", 0o777);
-        set(&format!("ioctl{NODE}"), 0o777);
-        set(&NODE[1..], 0o600);
+        self.set_mode("", 0o777);
+        self.set_mode(&format!("ioctl{NODE}"), 0o777);
+        self.set_mode(&NODE[1..], 0o600);
+    }
+
+    /// Everybody may open the device.
+    pub fn permit(&self) {
+        self.set_mode(&NODE[1..], 0o666);
     }
 
     /// The kernel's side of the device.
@@ -159,6 +164,15 @@ impl Mocked {
         command
             .env("LD_PRELOAD", PRELOAD)
             .env("UMOCKDEV_DIR", &self.root);
+        command
+    }
+
+    /// As [`Mocked::command_for`], for a user who may do nothing in particular: root may open everything.
+    /// [`output_of_nobody`] says whether the system has a way to be that.
+    pub fn command_for_nobody(&self, program: impl AsRef<std::ffi::OsStr>) -> Command {
+        let mut command = self.command_for("setpriv");
+        command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]);
+        command.arg(program);
         command
     }
 
@@ -197,7 +211,25 @@ impl Drop for Mocked {
     }
 }
 
-const UNDER: &str = "EECVS_TEST_UNDER_UMOCKDEV";
+/// What a [`Mocked::command_for_nobody`] says; `None`, and a line, where it cannot be run.
+pub fn output_of_nobody(command: &mut Command) -> Option<std::process::Output> {
+    match command.output() {
+        Err(error) => {
+            eprintln!("skipped: setpriv: {error}");
+            None
+        }
+        Ok(output) => {
+            let told = String::from_utf8_lossy(&output.stderr);
+            if told.contains("setpriv: ") {
+                eprintln!("skipped: {}", told.trim());
+                return None;
+            }
+            Some(output)
+        }
+    }
+}
+
+pub const UNDER: &str = "EECVS_TEST_UNDER_UMOCKDEV";
 const HUB: &str = "/devices/pci0000:00/0000:00:14.0/usb1";
 const SYSPATH: &str = "/devices/pci0000:00/0000:00:14.0/usb1/1-4";
 const NODE: &str = "/dev/bus/usb/001/007";

@@ -191,6 +191,18 @@ impl Attached {
         Some(text.trim().to_owned()).filter(|text| !text.is_empty())
     }
 
+    /// Whether its controller loses bytes where one of several transfers in flight is taken back: QEMU's xHCI
+    /// (7.2) goes on behind all of them, and the kernel throws away what comes for those.
+    #[must_use]
+    pub fn loses_what_is_taken_back(&self) -> bool {
+        // A root hub's parent is the controller.
+        let is = |name: &str, value: &str| {
+            let path = format!("{SYSFS}/usb{}/../{name}", self.bus);
+            fs::read_to_string(path).is_ok_and(|text| text.trim() == value)
+        };
+        cfg!(target_os = "linux") && is("vendor", "0x1b36") && is("device", "0x000d")
+    }
+
     /// Its place: `usb:1-4.2` is port 2 of the hub at port 4 of bus 1.
     #[must_use]
     pub fn id(&self) -> String {

@@ -102,6 +102,12 @@ impl Watch {
         }
     }
 
+    /// Whether the system tells of changes; where not, the devices are listed now and then.
+    #[must_use]
+    pub const fn is_told(&self) -> bool {
+        matches!(self.source, Source::Told { .. })
+    }
+
     /// The next change within `timeout`.
     ///
     /// # Errors

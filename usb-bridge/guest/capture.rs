@@ -1,0 +1,121 @@
+//! The guest's side of cameras: `eecvs-usb capture`, and a look at the file that it leaves.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use eecvs_nostd::Event;
+use host_harness::formats;
+use serde_json::{Map, Value};
+use usb_bridge::link::usb::{Attached, Bus};
+
+use super::APPEARS;
+use super::digest::Digest;
+use super::recordings::keeps_order;
+
+/// The program under test, where `boot.sh` puts it.
+const PROGRAM: &str = "/eecvs-usb";
+/// Captures at a time.
+const AT_ONCE: usize = 3;
+/// A capture without its last event ends after this time, in seconds.
+const ENOUGH_S: &str = "120";
+
+/// A call of the program under test.
+pub fn program(arguments: &[&str]) -> Command {
+    let mut command = Command::new(PROGRAM);
+    command.args(arguments);
+    command
+}
+
+/// Its JSON, where it succeeds.
+pub fn said(output: &Output) -> Result<Value> {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{}: {errors}", output.status);
+    Ok(serde_json::from_slice(&output.stdout)?)
+}
+
+/// Gives the events of a file, batch by batch.
+pub fn read(path: &Path, take: &mut dyn FnMut(&[Event])) -> Result<()> {
+    let mut reader = formats::open(path, None)?;
+    let mut events = Vec::new();
+    while reader.read(&mut events)? > 0 {
+        take(&events);
+        events.clear();
+    }
+    Ok(())
+}
+
+/// Captures what was sent from each camera of `PORT MODEL NAME DIGEST`, some at a time: most of the time
+/// they wait.
+pub fn all(wanted: &[&str]) -> Result<()> {
+    let wanted = Mutex::new(wanted.chunks(4));
+    let work = || -> Result<()> {
+        loop {
+            let next = wanted.lock().unwrap_or_else(PoisonError::into_inner).next();
+            match next {
+                Some(&[port, model, name, digest]) => {
+                    let port = port.parse().context("PORT")?;
+                    let sent = digest.parse().context("DIGEST")?;
+                    let told =
+                        attached(port).and_then(|camera| capture(&camera.id(), model, &sent));
+                    println!(
+                        "ok: {model}, {name}: {}",
+                        told.with_context(|| format!("{model}, {name}"))?
+                    );
+                }
+                Some(other) => bail!("{other:?}: not PORT MODEL NAME DIGEST"),
+                None => return Ok(()),
+            }
+        }
+    };
+    thread::scope(|scope| {
+        let workers: Vec<_> = (0..AT_ONCE).map(|_| scope.spawn(work)).collect();
+        let ends = workers
+            .into_iter()
+            .map(|one| one.join().expect("a capture's thread"));
+        ends.fold(Ok(()), Result::and)
+    })
+}
+
+/// Captures from the camera at a place.
+pub fn capture(id: &str, model: &str, sent: &Digest) -> Result<String> {
+    let started = Instant::now();
+    let path = PathBuf::from(format!("/tmp/{id}.aedat4"));
+    let mut command = program(&["capture", "--json", "--duration-s", ENOUGH_S]);
+    command.args(["--device", id, "--events", &sent.events.to_string()]);
+    let said = said(&command.arg("-o").arg(&path).output().context(PROGRAM)?)?;
+    let mut found = Digest::default();
+    read(&path, &mut |events| found.take(events))?;
+    std::fs::remove_file(&path)?;
+    let lost = &said["losses"];
+    ensure!(lost.as_object().is_some_and(Map::is_empty), "lost: {lost}");
+    found.require(sent, keeps_order(model))?;
+    let order = if keeps_order(model) {
+        "in order"
+    } else {
+        "by time"
+    };
+    Ok(format!(
+        "{} events, {order}, {} bytes, {:.1} s of streaming, {:.1} s in all",
+        found.events,
+        said["bytes"],
+        said["seconds"].as_f64().unwrap_or(f64::NAN),
+        started.elapsed().as_secs_f64()
+    ))
+}
+
+/// The device at a port, when it has appeared.
+fn attached(port: u8) -> Result<Attached> {
+    let until = Instant::now() + APPEARS;
+    loop {
+        let devices = Bus::new()?.devices()?;
+        if let Some(found) = devices.into_iter().find(|one| one.ports == [port]) {
+            return Ok(found);
+        }
+        ensure!(Instant::now() < until, "nothing appears at port {port}");
+        thread::sleep(Duration::from_millis(100));
+    }
+}

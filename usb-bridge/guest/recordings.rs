@@ -1,0 +1,84 @@
+//! The shared recordings as cameras send them: for the guest, and for the tests with a mocked device.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
+use eecvs_nostd::{Event, Sensor};
+use host_harness::formats;
+use serde::Deserialize;
+
+/// A recording that has a reader.
+pub struct Recording {
+    pub name: String,
+    pub sensor: Sensor,
+    pub path: PathBuf,
+}
+
+/// A recording as REFERENCE.json has it.
+#[derive(Deserialize)]
+struct Reference {
+    name: String,
+    files: Vec<String>,
+    width: u16,
+    height: u16,
+}
+
+/// The recordings of a folder whose names are `wanted`; those whose format has no reader are named on
+/// stderr.
+///
+/// # Errors
+/// The folder has no list of them.
+pub fn all(data: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Recording>> {
+    let list = data.join("REFERENCE.json");
+    let name = list.display();
+    let text = std::fs::read_to_string(&list).with_context(|| name.to_string())?;
+    let references: Vec<Reference> =
+        serde_json::from_str(&text).with_context(|| name.to_string())?;
+    let mut all = Vec::new();
+    for one in references.into_iter().filter(|one| wanted(&one.name)) {
+        let sensor = Sensor::new(one.width, one.height).with_context(|| one.name.clone())?;
+        // The same events in several formats.
+        let mut paths = one.files.iter().map(|file| data.join(&one.name).join(file));
+        match paths.find(|path| formats::open(path, Some(sensor)).is_ok()) {
+            Some(path) => all.push(Recording {
+                name: one.name,
+                sensor,
+                path,
+            }),
+            None => eprintln!("skipped: {}: its format has no reader", one.name),
+        }
+    }
+    Ok(all)
+}
+
+impl Recording {
+    /// Its first events, at most `limit`.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn events(&self, limit: usize) -> Result<Vec<Event>> {
+        let mut reader = formats::open(&self.path, Some(self.sensor))?;
+        let mut events = Vec::new();
+        while events.len() < limit && reader.read(&mut events)? > 0 {}
+        events.truncate(limit);
+        Ok(events)
+    }
+}
+
+/// Moves events in time so that they cross 2^31 us in the middle of their own; the first one's time. A
+/// device's clock has had more wraps by then than a word of them can count.
+pub fn cross_2_31_us(events: &mut [Event]) -> u64 {
+    let first_us = events.first().map_or(0, |event| event.t_us);
+    let latest_us = events.last().map_or(0, |event| event.t_us);
+    let start_us = (1 << 31) - (latest_us - first_us) / 2;
+    for event in events {
+        event.t_us = event.t_us - first_us + start_us;
+    }
+    start_us
+}
+
+/// Whether a model's events come in the order in which they are sent: the others send those of a time by
+/// column, or by pixel.
+pub fn keeps_order(model: &str) -> bool {
+    !["dvxplorer-mipi", "eecvs"].contains(&model)
+}

@@ -1,0 +1,15 @@
+//! The link over the real libusb, against a device that libumockdev mocks: enumeration, control
+//! requests, the stream, everything that can go wrong with it, and every model.
+//!
+//! Most tests run twice: once as the device, and once more in a process that sees its USB.
+
+mod attached;
+mod counter;
+mod faults;
+mod models;
+#[path = "../../guest/recordings.rs"]
+mod recordings;
+mod stream;
+#[path = "../umockdev/mod.rs"]
+mod umockdev;
+mod waiting;
