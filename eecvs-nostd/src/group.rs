@@ -265,6 +265,13 @@ impl<'s> Impulses<'s> {
         }
     }
 
+    /// Those of the list that begins at `head`.
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    pub(crate) const fn of(slots: &'s [Slot], head: u32) -> Self {
+        Self { slots, next: head }
+    }
+
     /// The slots, and which of them is next.
     #[cfg(eecvs_dsp)]
     #[inline(always)]

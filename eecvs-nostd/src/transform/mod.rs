@@ -8,6 +8,7 @@ pub mod dtft;
 pub mod dwt;
 pub(crate) mod lanes;
 pub mod rows;
+pub mod turn_rows;
 pub mod wave;
 
 use crate::fixed_point::{Coefficient, Sum};
