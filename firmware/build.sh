@@ -34,6 +34,8 @@ if [ -n "${2:-}" ]; then
 elif [ "$machine" = microbit ]; then
     command+=(--bin golden)
 fi
+# 256 KiB of flash, of which the tables take half: small code.
+[ "$machine" != microbit ] || export CARGO_PROFILE_RELEASE_OPT_LEVEL=s
 export RUSTFLAGS="${flags[*]}" DEFMT_LOG="${DEFMT_LOG:-info}"
 # What the machines' builds have in common, such as derive macros, is built once.
 export CARGO_BUILD_BUILD_DIR=$PWD/target/build

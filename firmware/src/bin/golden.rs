@@ -92,6 +92,8 @@ fn main() -> ! {
                 failed += 1;
             }
         }
+        // Its 256 KiB of flash have no room for both walks.
+        #[cfg(not(feature = "microbit"))]
         for seed in 0..WALKS {
             for (name, transform, mode) in [
                 ("dct", Transform::Dct, 0),
@@ -276,7 +278,9 @@ fn runs_hold(seed: u32, storage: &mut Small) -> bool {
     in_runs == one_by_one && in_runs.events > 0
 }
 
+#[cfg_attr(feature = "microbit", allow(dead_code))]
 const WALKS: u32 = 60;
+#[cfg_attr(feature = "microbit", allow(dead_code))]
 const WALK_EVENTS: u32 = 3000;
 
 /// A trace that asks for the portable walk.
@@ -291,6 +295,7 @@ impl Trace for Listener {
 /// Whether both walks give the same frames: single events and crowded pixels, all of one polarity
 /// and mixed, neighbours and far apart, at every kind of step.
 #[inline(never)]
+#[cfg_attr(feature = "microbit", allow(dead_code))]
 fn walks_hold(seed: u32, (transform, mode): (Transform, u8), storage: &mut Small) -> bool {
     let golden = Golden {
         width: WIDE.0,
