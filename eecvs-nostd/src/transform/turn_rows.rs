@@ -535,7 +535,7 @@ pub(crate) mod vectors {
         let mut signs = [[0; 4]; 8];
         let mut i = 0;
         while i < 8 {
-            let (on, late, far) = (i as u32 >> 2, i as u32 >> 1 & 1, i as u32 & 1);
+            let (on, late, far) = (i as u32 >> 2, (i as u32 >> 1) & 1, i as u32 & 1);
             let negative = [on, on ^ late ^ far, on ^ far, on ^ late];
             let mut j = 0;
             while j < 4 {
@@ -556,7 +556,7 @@ pub(crate) mod vectors {
             late,
             far,
         } = Place::new(half);
-        let signs = &SIGNS[(u32::from(is_on) << 2 | late & 2 | far & 1) as usize];
+        let signs = &SIGNS[((u32::from(is_on) << 2) | (late & 2) | (far & 1)) as usize];
         // SAFETY: the module is there only where the target has SSE2; four numbers are the 16 bytes
         // that are read, at any alignment.
         let weights = unsafe {
