@@ -178,8 +178,8 @@ pub(crate) mod dsp {
     /// Weights of the real and the imaginary part, and the row; after the last event's a row of 0.
     type Weights = [u32; 3];
 
-    /// Events that are weighed at once: half of a chunk, as more would be a sixth of the stack.
-    pub const EVENTS_MAX: usize = CHUNK_EVENTS.div_ceil(2);
+    /// Events that are weighed at once: a third of a chunk, as the stack has no room for more.
+    pub const EVENTS_MAX: usize = CHUNK_EVENTS.div_ceil(3);
 
     /// What the assembly knows of up to [`EVENTS_MAX`] events, for odd k and for even k.
     #[derive(Debug)]
