@@ -55,7 +55,11 @@ const LINES_OF_ROW: usize = 2 * GRID;
 /// Where the lines of `k`, 1 to 15, are in a row.
 #[cfg(eecvs_dsp)]
 pub(crate) const fn place(k: usize) -> usize {
-    if k % 2 == 0 { k - 2 } else { GRID - 3 + k }
+    if k.is_multiple_of(2) {
+        k - 2
+    } else {
+        GRID - 3 + k
+    }
 }
 
 /// Where the lines of `k` are in a row.
