@@ -1,13 +1,18 @@
 //! Sets `eecvs_dsp` where the core has Arm's DSP instructions, and `eecvs_intake_asm` where it also
 //! runs without an operating system; stable Rust does not tell the first. With the feature `portable` neither.
+//! `eecvs_small` where flash has no room for the largest table.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rustc-check-cfg=cfg(eecvs_dsp, eecvs_intake_asm)");
+    println!("cargo:rustc-check-cfg=cfg(eecvs_dsp, eecvs_intake_asm, eecvs_small)");
+    let target = std::env::var("TARGET").unwrap_or_default();
+    // Cortex-M0: up to 256 KiB.
+    if target.starts_with("thumbv6m-") {
+        println!("cargo:rustc-cfg=eecvs_small");
+    }
     if std::env::var_os("CARGO_FEATURE_PORTABLE").is_some() {
         return;
     }
-    let target = std::env::var("TARGET").unwrap_or_default();
     // Cortex-M4 and M7. Thumb alone: the instructions' spelling is not that of other targets.
     if target.starts_with("thumbv7em-") {
         println!("cargo:rustc-cfg=eecvs_dsp");

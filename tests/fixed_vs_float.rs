@@ -114,7 +114,7 @@ proptest! {
 /// to n times at the most. The worst is where an atom's step is close to whole and half turns.
 #[test]
 fn atoms_are_within_the_documented_error() {
-    let mut worst = [0.0_f64; 3];
+    let mut worst = [0.0_f64; 4];
     let durations = [1, 3, 1000, 32_768, 33_333, 999_983, 3_600_000_000, u32::MAX];
     for duration_us in durations {
         let last = duration_us - 1;
@@ -124,10 +124,15 @@ fn atoms_are_within_the_documented_error() {
             [i, last.saturating_sub(i), half.saturating_sub(i), half + i]
         });
         for offset_us in spread.chain(edges).filter(|offset| *offset <= last) {
-            for (transform, slot) in [(Transform::Dct, 0), (Transform::Dtft, 1)] {
+            // The DTFT of K = 16 has atoms of its own.
+            for (transform, grid, slot) in [
+                (Transform::Dct, GRID_MAX, 0),
+                (Transform::Dtft, GRID_MAX, 1),
+                (Transform::Dtft, 16, 3),
+            ] {
                 let impulse = [oracle::Impulse { offset_us, p: 1.0 }];
-                let expected = oracle_of(transform).coefficients(&impulse, duration_us, GRID_MAX);
-                let found = accumulate(transform, &impulse, duration_us, GRID_MAX);
+                let expected = oracle_of(transform).coefficients(&impulse, duration_us, grid);
+                let found = accumulate(transform, &impulse, duration_us, grid);
                 for ((re, im), expected) in found.iter().zip(&expected).skip(1) {
                     let error = (re - expected.re).abs().max((im - expected.im).abs());
                     worst[slot] = worst[slot].max(error);
@@ -137,12 +142,14 @@ fn atoms_are_within_the_documented_error() {
         }
     }
     println!(
-        "DCT 2^{:.2}, DTFT 2^{:.2}",
+        "DCT 2^{:.2}, DTFT 2^{:.2}, of K = 16 2^{:.2}",
         worst[0].log2(),
-        worst[1].log2()
+        worst[1].log2(),
+        worst[3].log2()
     );
     assert!(worst[0] <= 2_f64.powf(-14.9), "DCT: {:e}", worst[0]);
     assert!(worst[1] <= 2_f64.powf(-14.9), "DTFT: {:e}", worst[1]);
+    assert!(worst[3] <= 2_f64.powf(-14.15), "K = 16: {:e}", worst[3]);
     assert!(worst[2] < 1.0, "an atom of {}", worst[2]);
 }
 

@@ -77,6 +77,8 @@ pub mod trace;
 pub mod transform;
 #[cfg(eecvs_dsp)]
 mod transform_walk_dsp;
+#[cfg(eecvs_dsp)]
+mod turn_rows_dsp;
 pub mod unpack;
 #[cfg(target_arch = "x86_64")]
 mod waves_avx2;

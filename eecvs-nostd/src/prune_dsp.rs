@@ -119,8 +119,9 @@ fn separate<const W: usize>(lanes: &mut [u32; W], r: u32, search: Search) -> u32
 /// to order them. A margin keeps the set that of the fixed-point sums: bytes are floor(512 d), the
 /// byte below the first one that is kept is empty, and rounding u - u' to 2^-15 and the odd start
 /// move d by at most 2^-11, so d of what is kept is 2^-10 above that of the rest. With the threshold
-/// between 8 / 512 and 248 / 512, |c|^2 is more than 1.2e-3 above; errors of 2^-15.1 of an atom's
-/// parts make at most 2 * 4 * sqrt 2 * 2 * 2^-15.1 = 6.5e-4.
+/// between 8 / 512 and 248 / 512, |c|^2 is more than 1.2e-3 above; atoms within 2^-14.08
+/// ([`crate::transform::turn_rows`]; [`crate::transform::wave`] has them within 2^-14.6) make at most
+/// 2 * 4 * 2 * 2^-14.08 = 9.3e-4.
 ///
 /// For assembly alone. r0: 9 words for the bytes; r1: polarities that differ << 31; r2: K; r3: r; r4:
 /// u - u'. Overwrites r5 to r8, r10 and r11 too.

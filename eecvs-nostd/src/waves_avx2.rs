@@ -24,7 +24,7 @@ use crate::packing::{Packing, Shape, width_of};
 use crate::phase::PhaseScale;
 use crate::prune;
 use crate::trace::{Stage, Trace};
-use crate::transform::{Impulse, Transform, wave};
+use crate::transform::{Impulse, Transform, turn_rows, wave};
 use crate::window::Slot;
 
 cpufeatures::new!(detected, "avx2", "bmi1", "bmi2", "popcnt");
@@ -84,17 +84,19 @@ impl Waves {
     ) {
         // SAFETY: by the caller, the processor has what was detected.
         unsafe {
-            if self.grid as usize <= KEYS {
-                self.encode_of::<4, 1, T>(pixel, slots, packer, writer, trace);
+            if self.grid as usize == turn_rows::GRID {
+                self.encode_of::<4, 1, true, T>(pixel, slots, packer, writer, trace);
+            } else if self.grid as usize <= KEYS {
+                self.encode_of::<4, 1, false, T>(pixel, slots, packer, writer, trace);
             } else {
-                self.encode_of::<8, 2, T>(pixel, slots, packer, writer, trace);
+                self.encode_of::<8, 2, false, T>(pixel, slots, packer, writer, trace);
             }
         }
     }
 
-    /// With sums in `V` vectors and keys in `N`.
+    /// With sums in `V` vectors and keys in `N`, atoms of [`turn_rows`] or of [`wave`].
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
-    fn encode_of<const V: usize, const N: usize, T: Trace>(
+    fn encode_of<const V: usize, const N: usize, const ROWS: bool, T: Trace>(
         &self,
         pixel: Pixel,
         slots: &[Slot],
@@ -105,9 +107,14 @@ impl Waves {
         trace.enter(Stage::Accumulate);
         let events = pixel.on + pixel.off;
         let scale = self.scale;
-        let turn =
-            |impulse: Impulse| Phase::from_bits(scale.half(impulse.offset_us).to_bits() << 1);
-        let mut sums = wave::avx2::first_exponentials::<V>(Impulses::new(pixel, slots), turn);
+        let half = |impulse: Impulse| scale.half(impulse.offset_us);
+        let turn = |impulse| Phase::from_bits(half(impulse).to_bits() << 1);
+        let impulses = Impulses::new(pixel, slots);
+        let mut sums = if ROWS {
+            turn_rows::vectors::first_exponentials::<V>(impulses, half)
+        } else {
+            wave::avx2::first_exponentials::<V>(impulses, turn)
+        };
         let zeroth = (pixel.on as i32 - pixel.off as i32) << FRACTION_BITS;
         let zeroth = _mm256_setr_epi64x(i64::from(zeroth.cast_unsigned()), 0, 0, 0);
         sums[0] = _mm256_blend_epi32::<0b11>(sums[0], zeroth);

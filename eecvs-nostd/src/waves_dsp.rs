@@ -16,8 +16,9 @@ use crate::packing::{Packing, Shape, width_of};
 use crate::phase::PhaseScale;
 use crate::prune_dsp;
 use crate::trace::{Stage, Trace};
-use crate::transform::Transform;
 use crate::transform::wave::{self, Turn};
+use crate::transform::{Transform, turn_rows};
+use crate::turn_rows_dsp;
 use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
 
 /// Whether [`Waves`] are for this frame.
@@ -59,8 +60,7 @@ pub struct Common {
     /// k = 0..r, as a bit each.
     low: u32,
     /// From an offset to u / 2: [`PhaseScale::parts`].
-    phase_shift: u32,
-    reciprocal: u32,
+    scale: [u32; 2],
 }
 
 // What the assembly takes for granted.
@@ -68,7 +68,7 @@ const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000 && NEXT_SHIFT == 1
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Turn>() == 8);
 const _: () = assert!(offset_of!(Common, sums) == 4 && offset_of!(Common, shift) == 8);
 const _: () = assert!(offset_of!(Common, gap_zeros) == 16 && offset_of!(Common, grid) == 24);
-const _: () = assert!(offset_of!(Common, phase_shift) == 32);
+const _: () = assert!(offset_of!(Common, scale) == 32);
 // ON events leave the three bits below n's free.
 const _: () = assert!(CHUNK_EVENTS < 1 << 13 && size_of::<[u32; 2]>() == 8);
 
@@ -99,8 +99,7 @@ impl<'e> Waves<'e> {
             counts: code_tables_dsp::counts(),
             grid: shape.grid as u32,
             low: !(u32::MAX << (shape.r as u32 & 31)),
-            phase_shift,
-            reciprocal,
+            scale: [phase_shift, reciprocal],
         };
         Some(Self {
             shape,
@@ -165,18 +164,21 @@ impl<'e> Waves<'e> {
     ) -> u32 {
         let (events, on) = (tally >> 16, tally & 0xffff);
         trace.enter(Stage::Accumulate);
-        let mut memory = [const { MaybeUninit::uninit() }; CHUNK_EVENTS];
-        // SAFETY: the list is the group's, of up to a chunk of events of this window, and has some:
-        // `turns_of` writes as many turns.
-        let turns = unsafe {
-            turns_of(&self.common, slots.as_ptr(), head, memory.as_mut_ptr());
-            core::slice::from_raw_parts(memory.as_ptr().cast::<Turn>(), events as usize)
-        };
-        // SAFETY: there are K pairs of sums, and the turns.
-        unsafe {
-            let (sums, pairs) = (self.sums.as_mut_ptr().cast::<[Sum; 2]>(), self.shape.grid);
-            let (first, len) = (turns.as_ptr(), turns.len());
-            wave::dsp::add_exponentials(sums.wrapping_add(1), pairs - 1, first, len);
+        let pairs: *mut [Sum; 2] = self.sums.as_mut_ptr().cast();
+        if self.shape.grid == turn_rows::GRID {
+            // SAFETY: the list is the group's, of events of this window, and has some. There are as many
+            // pairs of sums, and nothing else has them while this runs.
+            unsafe {
+                turn_rows_dsp::add(slots.as_ptr(), head, &self.common.scale, &mut *pairs.cast())
+            };
+        } else {
+            let mut memory = [const { MaybeUninit::uninit() }; CHUNK_EVENTS];
+            // SAFETY: as above; `turns_of` writes as many turns. There are K pairs of sums.
+            unsafe {
+                turns_of(&self.common, slots.as_ptr(), head, memory.as_mut_ptr());
+                let (first, k) = (memory.as_ptr().cast(), self.shape.grid - 1);
+                wave::dsp::add_exponentials(pairs.wrapping_add(1), k, first, events as usize);
+            }
         }
         trace.enter(Stage::Prune);
         let zeroth = (2 * on).wrapping_sub(events).cast_signed();
@@ -280,14 +282,23 @@ pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> 
         "bic r0, r0, #1",
         "ldr r1, [r9, #4]",
         "add r2, sp, #40",
-        "bl {two_exponentials}",
+        "ldr r3, [r9, #24]",
+        "cmp r3, #{rows_grid}",
+        "bne 3f",
+        "bl {two_of_rows}",
         "movs r0, r5",
         // The Z flag tells whether that is 0.
         "2:",
         "add sp, #60",
         "pop {{r4-r11, pc}}",
+        "3:",
+        "bl {two_exponentials}",
+        "movs r0, r5",
+        "b 2b",
         of_two = sym prune_dsp::of_two,
+        two_of_rows = sym turn_rows_dsp::two_exponentials,
         two_exponentials = sym wave::dsp::two_exponentials,
+        rows_grid = const turn_rows::GRID,
     )
 }
 

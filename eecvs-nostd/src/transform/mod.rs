@@ -9,6 +9,7 @@ pub mod dwt;
 pub mod fine_rows;
 pub(crate) mod lanes;
 pub mod rows;
+pub mod turn_rows;
 pub mod wave;
 
 use crate::fixed_point::{Coefficient, Sum};

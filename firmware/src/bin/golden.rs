@@ -1,7 +1,8 @@
 //! The golden vectors on the target: the same bits as on the host, or the image exits with an
 //! error; and what some targets have code of their own for against what is portable: words taken in
-//! runs against words taken one by one, and the walks of the eight-coefficient DCT, of the Haar
-//! transform on 16 bins and of both event coders against those that a trace listens to. For QEMU.
+//! runs against words taken one by one, sums of lists against those of impulses that are none, and the
+//! walks of the eight-coefficient DCT, of the Haar transform on 16 bins and of both event coders against
+//! those that a trace listens to. For QEMU.
 #![no_std]
 #![no_main]
 
@@ -21,6 +22,14 @@ use eecvs_nostd::{
     Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN,
     Polarity, Push, Quantiser, Sensor, Stage, Storage, Thresholds, Trace, Transform, WindowConfig,
     bitmap_words, segments,
+};
+#[cfg(not(feature = "microbit"))]
+use eecvs_nostd::{
+    Slot,
+    fixed_point::{CHUNK_EVENTS, Sum},
+    lists::Lists,
+    phase::PhaseScale,
+    transform::{Basis, Dct, Dtft, Impulse},
 };
 
 /// A golden vector: `tests/golden.rs` describes it.
@@ -89,6 +98,17 @@ fn main() -> ! {
         for seed in 0..STREAMS {
             if !runs_hold(seed, &mut storage) {
                 hprintln!("golden: words of stream {} differ", seed);
+                failed += 1;
+            }
+        }
+        #[cfg(not(feature = "microbit"))]
+        for seed in 0..LISTS {
+            if !sums_hold::<Dct>(seed, 8) || !sums_hold::<Dct>(seed, 16) {
+                hprintln!("golden: sums of list {} of the DCT differ", seed);
+                failed += 1;
+            }
+            if !sums_hold::<Dtft>(seed, 16) {
+                hprintln!("golden: sums of list {} of the DTFT differ", seed);
                 failed += 1;
             }
         }
@@ -274,6 +294,39 @@ fn runs_hold(seed: u32, storage: &mut Small) -> bool {
     encoder.flush();
     in_runs.take(&mut encoder);
     in_runs == one_by_one && in_runs.events > 0
+}
+
+/// Lists of one impulse more from one to the next.
+#[cfg(not(feature = "microbit"))]
+const LISTS: u32 = 2 * CHUNK_EVENTS as u32 + 3;
+
+/// Whether the first chunk of a list has the same sums as a list and as impulses that are none.
+#[cfg(not(feature = "microbit"))]
+#[inline(never)]
+fn sums_hold<B: Basis>(seed: u32, grid: usize) -> bool {
+    let mut random = Words::new(seed);
+    let duration_us = [1, 1000, 32_768, 33_333, 1 << 24][seed as usize % 5];
+    let scale = PhaseScale::new(duration_us);
+    let mut slots = [Slot::EMPTY; LISTS as usize];
+    let mut lists = Lists::new(&mut slots);
+    let impulses = (0..seed).map(|_| Impulse {
+        offset_us: random.below(duration_us),
+        is_on: random.below(2) == 1,
+    });
+    let Some(first) = lists.push(impulses) else {
+        return false;
+    };
+    let list = lists.laid_out().impulses(first);
+    let mut sums = [[Sum::NEG_ONE; 32]; 2];
+    B::accumulate(list.clone(), scale, grid, &mut sums[0]);
+    let rest = B::accumulate_list(&list, scale, grid, &mut sums[1]);
+    // But for c_0, which is the caller's.
+    let [expected, found] = &mut sums;
+    let known = if B::TRANSFORM.is_complex() { 2 } else { 1 };
+    expected[..known].fill(Sum::ZERO);
+    found[..known].fill(Sum::ZERO);
+    let left = list.skip(CHUNK_EVENTS);
+    expected == found && rest.is_none_or(|rest| rest.eq(left))
 }
 
 const WALKS: u32 = 60;
