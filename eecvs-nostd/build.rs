@@ -1,13 +1,17 @@
 //! Sets `eecvs_dsp` where the core has Arm's DSP instructions, and `eecvs_intake_asm` where it also
 //! runs without an operating system; stable Rust does not tell the first. With the feature `portable` neither.
+//! Sets `eecvs_long_multiply` where a product of 64 bits is one instruction.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rustc-check-cfg=cfg(eecvs_dsp, eecvs_intake_asm)");
+    println!("cargo:rustc-check-cfg=cfg(eecvs_dsp, eecvs_intake_asm, eecvs_long_multiply)");
+    let target = std::env::var("TARGET").unwrap_or_default();
+    if target.starts_with("thumbv7") {
+        println!("cargo:rustc-cfg=eecvs_long_multiply");
+    }
     if std::env::var_os("CARGO_FEATURE_PORTABLE").is_some() {
         return;
     }
-    let target = std::env::var("TARGET").unwrap_or_default();
     // Cortex-M4 and M7. Thumb alone: the instructions' spelling is not that of other targets.
     if target.starts_with("thumbv7em-") {
         println!("cargo:rustc-cfg=eecvs_dsp");

@@ -116,8 +116,15 @@ pub fn walk(
         words: at,
     } = writer.position();
     let mut out = Output {
-        rest: writer.words.get_mut(at..limit).unwrap_or_default().iter_mut(),
-        bits: Bits { pending, used: 32 - free },
+        rest: writer
+            .words
+            .get_mut(at..limit)
+            .unwrap_or_default()
+            .iter_mut(),
+        bits: Bits {
+            pending,
+            used: 32 - free,
+        },
     };
     let gap_one = 2 << event_bits;
     let term_before = coder.gaps.term_left;
@@ -134,86 +141,88 @@ pub fn walk(
     let mut back = 0;
     'segments: loop {
         if let Some(rest) = NonZeroU32::new(columns) {
-        if rest.trailing_zeros().wrapping_sub(before) > codes.gap_max {
-            break;
-        }
-        let slots = window.slots_now();
-        let mut left = rest;
-        'pixels: loop {
-            let column = left.trailing_zeros();
-            let entry = &mut group.entries[column as usize];
-            let head = mem::replace(&mut entry.head, NO_SLOT);
-            let bits_before = out.bits;
-            'pixel: {
-                let Some(slot) = slots.get(head as usize) else {
-                    break 'pixel;
-                };
-                let code = ((column.wrapping_sub(before) * gap_one + codes.base) | (slot.offset_us() << 1)) + slot.sign();
-                if let Some(second) = slots.get(slot.next() as usize) {
-                    let code = ((code - gap_one / 2) << 1) + second.sign();
-                    let bits = codes.bits - 1 - 2 * code.leading_zeros();
-                    if slots.get(second.next() as usize).is_some() {
-                        let pair = (slot, second);
-                        let copy = Output { rest: mem::take(&mut out.rest), ..out };
-                        let room = copy.rest.len();
-                        let (copy, further) = several(
-                            pair,
-                            (code, bits),
-                            slots,
-                            &mut orders,
-                            copy,
-                        );
-                        out = copy;
-                        if further == 0 {
-                            back = room - out.rest.len();
-                            break 'pixel;
-                        }
-                        counts += further * EVENT;
-                    } else {
-                        let Some(distance) = second.offset_us().checked_sub(slot.offset_us())
-                        else {
-                            break 'pixel;
-                        };
-                        let order = &mut orders[code as usize % 4];
-                        let (raised, raised_bits, learned) = raise(distance, *order);
-                        let put = out.put::<true>(code, bits);
-                        if put == Put::None { break 'pixel; }
-                        if out.put::<false>(raised << 2 | END, raised_bits + 2) == Put::None {
-                            back = usize::from(put == Put::Word);
-                            break 'pixel;
-                        }
-                        *order = learned;
-                        counts += EVENT;
-                    }
-                } else {
-                    let bits = codes.bits - 2 * code.leading_zeros();
-                    if out.put::<true>(code, bits) == Put::None {
-                        break 'pixel;
-                    }
-                }
-                before = column + 1;
-                counts -= 1;
-                let rest = NonZeroU32::new(left.get() & (left.get() - 1));
-                if counts % EVENT == 0 {
-                    coder.gaps.end_term(start + before, coder.cell_bits());
-                    counts += TERM_PIXELS * (EVENT + 1);
-                    codes = Codes::new(coder, event_bits);
-                    if !codes.are_short() {
-                        columns = rest.map_or(0, NonZeroU32::get);
-                        break 'segments;
-                    }
-                }
-                let Some(rest) = rest else {
-                    break 'pixels;
-                };
-                left = rest;
-                continue 'pixels;
+            if rest.trailing_zeros().wrapping_sub(before) > codes.gap_max {
+                break;
             }
-            entry.head = head;
-            out.bits = bits_before;
-            columns = left.get();
-            break 'segments;
-        }
+            let slots = window.slots_now();
+            let mut left = rest;
+            'pixels: loop {
+                let column = left.trailing_zeros();
+                let entry = &mut group.entries[column as usize];
+                let head = mem::replace(&mut entry.head, NO_SLOT);
+                let bits_before = out.bits;
+                'pixel: {
+                    let Some(slot) = slots.get(head as usize) else {
+                        break 'pixel;
+                    };
+                    let code = ((column.wrapping_sub(before) * gap_one + codes.base)
+                        | (slot.offset_us() << 1))
+                        + slot.sign();
+                    if let Some(second) = slots.get(slot.next() as usize) {
+                        let code = ((code - gap_one / 2) << 1) + second.sign();
+                        let bits = codes.bits - 1 - 2 * code.leading_zeros();
+                        if slots.get(second.next() as usize).is_some() {
+                            let pair = (slot, second);
+                            let copy = Output {
+                                rest: mem::take(&mut out.rest),
+                                ..out
+                            };
+                            let room = copy.rest.len();
+                            let (copy, further) =
+                                several(pair, (code, bits), slots, &mut orders, copy);
+                            out = copy;
+                            if further == 0 {
+                                back = room - out.rest.len();
+                                break 'pixel;
+                            }
+                            counts += further * EVENT;
+                        } else {
+                            let Some(distance) = second.offset_us().checked_sub(slot.offset_us())
+                            else {
+                                break 'pixel;
+                            };
+                            let order = &mut orders[code as usize % 4];
+                            let (raised, raised_bits, learned) = raise(distance, *order);
+                            let put = out.put::<true>(code, bits);
+                            if put == Put::None {
+                                break 'pixel;
+                            }
+                            if out.put::<false>(raised << 2 | END, raised_bits + 2) == Put::None {
+                                back = usize::from(put == Put::Word);
+                                break 'pixel;
+                            }
+                            *order = learned;
+                            counts += EVENT;
+                        }
+                    } else {
+                        let bits = codes.bits - 2 * code.leading_zeros();
+                        if out.put::<true>(code, bits) == Put::None {
+                            break 'pixel;
+                        }
+                    }
+                    before = column + 1;
+                    counts -= 1;
+                    let rest = NonZeroU32::new(left.get() & (left.get() - 1));
+                    if counts % EVENT == 0 {
+                        coder.gaps.end_term(start + before, coder.cell_bits());
+                        counts += TERM_PIXELS * (EVENT + 1);
+                        codes = Codes::new(coder, event_bits);
+                        if !codes.are_short() {
+                            columns = rest.map_or(0, NonZeroU32::get);
+                            break 'segments;
+                        }
+                    }
+                    let Some(rest) = rest else {
+                        break 'pixels;
+                    };
+                    left = rest;
+                    continue 'pixels;
+                }
+                entry.head = head;
+                out.bits = bits_before;
+                columns = left.get();
+                break 'segments;
+            }
         }
         before = before.wrapping_add(start);
         let Some((segment, head)) = group.take_segment(window) else {
@@ -279,7 +288,10 @@ fn several<'o>(
     orders: &mut Orders,
     out: Output<'o>,
 ) -> (Output<'o>, u32) {
-    let mut out = Output { rest: out.rest, bits: out.bits };
+    let mut out = Output {
+        rest: out.rest,
+        bits: out.bits,
+    };
     let before = *orders;
     let mut events = 0;
     let mut go_on = out.put::<true>(code, bits) != Put::None;
