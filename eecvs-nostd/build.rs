@@ -1,13 +1,13 @@
 //! Sets `eecvs_dsp` where the core has Arm's DSP instructions, and `eecvs_intake_asm` where it also
 //! runs without an operating system; stable Rust does not tell the first. With the feature `portable` neither.
-//! Sets `eecvs_long_multiply` where a product of 64 bits is one instruction.
+//! Sets `eecvs_thumb2` on Cortex-M with Thumb-2, whose products of 64 bits are one instruction.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
-    println!("cargo:rustc-check-cfg=cfg(eecvs_dsp, eecvs_intake_asm, eecvs_long_multiply)");
+    println!("cargo:rustc-check-cfg=cfg(eecvs_dsp, eecvs_intake_asm, eecvs_thumb2)");
     let target = std::env::var("TARGET").unwrap_or_default();
     if target.starts_with("thumbv7") {
-        println!("cargo:rustc-cfg=eecvs_long_multiply");
+        println!("cargo:rustc-cfg=eecvs_thumb2");
     }
     if std::env::var_os("CARGO_FEATURE_PORTABLE").is_some() {
         return;

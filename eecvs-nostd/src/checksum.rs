@@ -27,7 +27,12 @@ pub(crate) fn crc_32(bytes: &[u8]) -> u32 {
 #[cfg(all(not(target_pointer_width = "64"), not(eecvs_dsp)))]
 pub(crate) fn crc_32(bytes: &[u8]) -> u32 {
     let (words, rest) = bytes.as_chunks::<4>();
-    !by_bytes(by_thirds(u32::MAX, words), rest)
+    // A Cortex-M0 has little flash.
+    #[cfg(eecvs_thumb2)]
+    let crc = by_thirds(u32::MAX, words);
+    #[cfg(not(eecvs_thumb2))]
+    let crc = by_words(u32::MAX, words);
+    !by_bytes(crc, rest)
 }
 
 /// CRC-32 of `bytes`.
@@ -45,10 +50,10 @@ static TABLES: [[u32; 256]; 4] = {
 };
 
 /// What the low 11 bits of a word, the 11 above those, and its high 10 do to the checksum.
-#[cfg(any(test, not(any(target_pointer_width = "64", eecvs_dsp))))]
+#[cfg(any(test, all(eecvs_thumb2, not(eecvs_dsp))))]
 static THIRDS: ([u32; 1 << 11], [u32; 1 << 11], [u32; 1 << 10]) = (third(0), third(11), third(22));
 
-#[cfg(any(test, not(any(target_pointer_width = "64", eecvs_dsp))))]
+#[cfg(any(test, all(eecvs_thumb2, not(eecvs_dsp))))]
 const fn third<const N: usize>(shift: u32) -> [u32; N] {
     let [last, third, second, first] = &TABLES;
     let mut table = [0; N];
@@ -62,7 +67,7 @@ const fn third<const N: usize>(shift: u32) -> [u32; N] {
 }
 
 /// The checksum `crc`, not turned over at its end, and `words` further: by tables of 20 KiB instead of 4.
-#[cfg(any(test, not(any(target_pointer_width = "64", eecvs_dsp))))]
+#[cfg(any(test, all(eecvs_thumb2, not(eecvs_dsp))))]
 #[inline(always)]
 fn by_thirds(mut crc: u32, words: &[[u8; 4]]) -> u32 {
     let (low, middle, high) = &THIRDS;
@@ -76,7 +81,7 @@ fn by_thirds(mut crc: u32, words: &[[u8; 4]]) -> u32 {
 }
 
 /// The checksum `crc`, not turned over at its end, and `words` further.
-#[cfg(any(test, eecvs_dsp))]
+#[cfg(any(test, eecvs_dsp, not(any(target_pointer_width = "64", eecvs_thumb2))))]
 #[inline(always)]
 pub(crate) fn by_words(mut crc: u32, words: &[[u8; 4]]) -> u32 {
     let [last, third, second, first] = &TABLES;

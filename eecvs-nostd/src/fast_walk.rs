@@ -44,10 +44,10 @@ impl Codes {
 struct Output<'o> {
     /// Words that a pixel may begin in.
     rest: IterMut<'o, [u8; 4]>,
-    /// Bits of the next word, from the top, and how many: up to 31.
     bits: Bits,
 }
 
+/// Bits of the next word, from the top, and how many: up to 31.
 #[derive(Clone, Copy)]
 struct Bits {
     pending: u32,
@@ -57,13 +57,17 @@ struct Bits {
 /// What became of a code.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Put {
+    /// It left room in the word.
     Within,
+    /// It completed a word.
     Word,
+    /// It was not put.
     None,
 }
 
 impl Output<'_> {
-    /// Puts a code of up to 32 bits, which has no others; nothing is put where it has more, or there is no room.
+    /// Puts a code of `bits` bits, which has no others. Nothing is put where there is no room, or where
+    /// it is not `IS_SHORT`, as which it is known to have up to 32 bits, and has more.
     #[inline(always)]
     fn put<const IS_SHORT: bool>(&mut self, code: u32, bits: u32) -> Put {
         let end = self.bits.used + bits;
@@ -138,6 +142,7 @@ pub fn walk(
     // Column before the next one, of the last pixel.
     let mut before = coder.gaps.next.wrapping_sub(start);
     let mut columns = group.columns;
+    // Words to be taken back of a pixel that was not completed.
     let mut back = 0;
     'segments: loop {
         if let Some(rest) = NonZeroU32::new(columns) {

@@ -126,7 +126,7 @@ fn mark(bitmap: &mut [u32], segment: u32) {
 /// Index of the first segment of a word's row, of which there are `stride` in each.
 #[inline(always)]
 fn first_of_row(word: u32, stride: u32) -> u32 {
-    if cfg!(eecvs_long_multiply) {
+    if cfg!(eecvs_thumb2) {
         // The upper half of a product with y at the top: nothing has to be cut off it.
         let top = u64::from(word << (u32::BITS - SIDE_BITS));
         ((top * u64::from(stride << SIDE_BITS)) >> 32) as u32
