@@ -208,7 +208,7 @@ pub fn walk(
                     before = column + 1;
                     counts -= 1;
                     let rest = NonZeroU32::new(left.get() & (left.get() - 1));
-                    if counts % EVENT == 0 {
+                    if counts.is_multiple_of(EVENT) {
                         coder.gaps.end_term(start + before, coder.cell_bits());
                         counts += TERM_PIXELS * (EVENT + 1);
                         codes = Codes::new(coder, event_bits);
