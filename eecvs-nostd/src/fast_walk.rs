@@ -6,6 +6,7 @@
 
 use core::mem;
 use core::num::NonZeroU32;
+use core::slice::IterMut;
 
 use crate::coder::big_bits::{BigWriter, Position};
 use crate::coder::fast::{END, FLIP, Fast, Orders, ROOM_WORDS, TERM_PIXELS};
@@ -40,37 +41,60 @@ impl Codes {
 }
 
 /// The output, whose state is in registers.
+struct Output<'o> {
+    /// Words that a pixel may begin in.
+    rest: IterMut<'o, [u8; 4]>,
+    bits: Bits,
+}
+
+/// Bits of the next word, from the top, and how many: up to 31.
 #[derive(Clone, Copy)]
-struct Output {
-    /// Words written.
-    at: usize,
-    /// Bits of the next word, from the top, and how many: up to 31.
+struct Bits {
     pending: u32,
     used: u32,
 }
 
-impl Output {
-    /// Puts a code of up to 32 bits, which has no others.
+/// What became of a code.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Put {
+    /// It left room in the word.
+    Within,
+    /// It completed a word.
+    Word,
+    /// It was not put.
+    None,
+}
+
+impl Output<'_> {
+    /// Puts a code of `bits` bits, which has no others. Nothing is put where there is no room, or where
+    /// it is not `IS_SHORT`, as which it is known to have up to 32 bits, and has more.
     #[inline(always)]
-    fn put(&mut self, words: &mut [[u8; 4]], code: u32, bits: u32) {
-        let end = self.used + bits;
+    fn put<const IS_SHORT: bool>(&mut self, code: u32, bits: u32) -> Put {
+        let end = self.bits.used + bits;
         // Where it goes; what the word has no room for is turned round to the top.
         let turned = code.rotate_right(end);
         if end < 32 {
-            self.pending |= turned;
-            self.used = end;
-        } else {
-            let beyond = end & 31;
-            let here = u32::MAX >> beyond;
-            if let Some(word) = words.get_mut(self.at) {
-                *word = (self.pending | (turned & here)).to_be_bytes();
-            }
-            self.at += 1;
-            self.pending = turned & !here;
-            self.used = beyond;
+            self.bits.pending |= turned;
+            self.bits.used = end;
+            return Put::Within;
         }
+        if !IS_SHORT && bits > 32 {
+            return Put::None;
+        }
+        let Some(word) = self.rest.next() else {
+            return Put::None;
+        };
+        let beyond = end & 31;
+        let here = code >> beyond;
+        *word = (self.bits.pending | here).to_be_bytes();
+        self.bits.pending = turned ^ here;
+        self.bits.used = beyond;
+        Put::Word
     }
 }
+
+/// An event that is not its pixel's first, in the counts, above the pixels that are left of the term.
+const EVENT: u32 = 2 * TERM_PIXELS;
 
 /// Encodes pixels up to the window's last, or up to one that [`Fast::write`] has to see to, which is
 /// the group's next then. Returns their events.
@@ -84,7 +108,8 @@ pub fn walk(
 ) -> u32 {
     let event_bits = coder.cell_bits() + 1;
     let mut codes = Codes::new(coder, event_bits & 31);
-    let limit = writer.words.len().saturating_sub(ROOM_WORDS);
+    // A pixel that completes the last word before is not for this walk: the frame may end after it.
+    let limit = writer.words.len().saturating_sub(ROOM_WORDS + 1);
     if event_bits > 30 || !codes.are_short() || writer.position().words >= limit {
         return 0;
     }
@@ -95,138 +120,144 @@ pub fn walk(
         words: at,
     } = writer.position();
     let mut out = Output {
-        at,
-        pending,
-        used: 32 - free,
+        rest: writer
+            .words
+            .get_mut(at..limit)
+            .unwrap_or_default()
+            .iter_mut(),
+        bits: Bits {
+            pending,
+            used: 32 - free,
+        },
     };
-    // With the word that a pixel of two events may go on to.
-    let words = writer.words.get_mut(..=limit).unwrap_or_default();
     let gap_one = 2 << event_bits;
     let term_before = coder.gaps.term_left;
-    let mut term_left = term_before;
-    // Events that are not their pixel's first, and pixels of terms that have ended.
-    let mut events = 0;
-    let mut next = coder.gaps.next;
+    // From the top: events that are not their pixel's first, and pixels of terms that have ended; pixels left of
+    // the term.
+    let mut counts = term_before;
+    // 30 less each.
+    let mut orders = coder.orders.map(|order| 30_u8.wrapping_sub(order));
     // Place of the segment's first column.
     let mut start = u32::from(group.segment_y) * row + u32::from(group.segment_x);
-    let mut columns = group.columns.reverse_bits();
+    // Column before the next one, of the last pixel.
+    let mut before = coder.gaps.next.wrapping_sub(start);
+    let mut columns = group.columns;
+    // Words to be taken back of a pixel that was not completed.
+    let mut back = 0;
     'segments: loop {
-        let Some(rest) = NonZeroU32::new(columns) else {
-            let Some((segment, head)) = group.take_segment(window) else {
+        if let Some(rest) = NonZeroU32::new(columns) {
+            if rest.trailing_zeros().wrapping_sub(before) > codes.gap_max {
                 break;
-            };
-            start = segment * u32::from(SEGMENT_PIXELS);
-            columns = deal(&mut group.entries, head, window.slots());
-            continue;
-        };
-        let slots = window.slots_now();
-        let mut column = rest.leading_zeros();
-        // The pixel's column is the highest bit.
-        columns = rest.get() << column;
-        let mut gap = start + column - next;
-        if gap > codes.gap_max {
-            columns >>= column;
-            break;
-        }
-        'pixels: loop {
-            let entry = &mut group.entries[column as usize % 32];
-            let head = mem::replace(&mut entry.head, NO_SLOT);
-            'pixel: {
-                let Some(slot) = slots.get(head as usize) else {
-                    break 'pixel;
-                };
-                let code = (gap * gap_one + codes.base)
-                    | (slot.offset_us() << 1 | u32::from(slot.is_on()));
-                if let Some(second) = slots.get(slot.next() as usize) {
-                    let code = ((code - gap_one / 2) << 1) | u32::from(second.is_on());
-                    let bits = codes.bits - 1 - 2 * code.leading_zeros();
-                    if slots.get(second.next() as usize).is_some() {
-                        let pair = (slot, second);
-                        let mut copy = out;
-                        let further = several(
-                            pair,
-                            (code, bits),
-                            slots,
-                            &mut coder.orders,
-                            (words, &mut copy),
-                        );
-                        if further == 0 {
-                            break 'pixel;
-                        }
-                        out = copy;
-                        events += further;
-                    } else {
-                        let polarities = u32::from(slot.is_on()) << 1 | u32::from(second.is_on());
-                        let Some(distance) = second.offset_us().checked_sub(slot.offset_us())
-                        else {
-                            break 'pixel;
-                        };
-                        let order = &mut coder.orders[polarities as usize];
-                        let (raised, raised_bits, learned) = raise(distance, *order);
-                        if raised_bits > 30 {
-                            break 'pixel;
-                        }
-                        *order = learned;
-                        out.put(words, code, bits);
-                        out.put(words, raised << 2 | END, raised_bits + 2);
-                        events += 1;
-                    }
-                } else {
-                    out.put(words, code, codes.bits - 2 * code.leading_zeros());
-                }
-                columns <<= 1;
-                column += 1;
-                term_left -= 1;
-                if term_left == 0 {
-                    coder.gaps.end_term(start + column, coder.cell_bits());
-                    term_left = TERM_PIXELS;
-                    events += TERM_PIXELS;
-                    codes = Codes::new(coder, event_bits);
-                    if !codes.are_short() {
-                        next = start + column;
-                        columns = columns.checked_shr(column).unwrap_or(0);
-                        break 'segments;
-                    }
-                }
-                if out.at + 1 >= words.len() {
-                    next = start + column;
-                    columns = columns.checked_shr(column).unwrap_or(0);
-                    break 'segments;
-                }
-                let Some(rest) = NonZeroU32::new(columns) else {
-                    next = start + column;
-                    continue 'segments;
-                };
-                gap = rest.leading_zeros();
-                columns = rest.get() << gap;
-                column += gap;
-                continue 'pixels;
             }
-            entry.head = head;
-            next = start + column - gap;
-            columns >>= column % 32;
-            break 'segments;
+            let slots = window.slots_now();
+            let mut left = rest;
+            'pixels: loop {
+                let column = left.trailing_zeros();
+                let entry = &mut group.entries[column as usize];
+                let head = mem::replace(&mut entry.head, NO_SLOT);
+                let bits_before = out.bits;
+                'pixel: {
+                    let Some(slot) = slots.get(head as usize) else {
+                        break 'pixel;
+                    };
+                    let code = ((column.wrapping_sub(before) * gap_one + codes.base)
+                        | (slot.offset_us() << 1))
+                        + slot.sign();
+                    if let Some(second) = slots.get(slot.next() as usize) {
+                        let code = ((code - gap_one / 2) << 1) + second.sign();
+                        let bits = codes.bits - 1 - 2 * code.leading_zeros();
+                        if slots.get(second.next() as usize).is_some() {
+                            let pair = (slot, second);
+                            let copy = Output {
+                                rest: mem::take(&mut out.rest),
+                                ..out
+                            };
+                            let room = copy.rest.len();
+                            let (copy, further) =
+                                several(pair, (code, bits), slots, &mut orders, copy);
+                            out = copy;
+                            if further == 0 {
+                                back = room - out.rest.len();
+                                break 'pixel;
+                            }
+                            counts += further * EVENT;
+                        } else {
+                            let Some(distance) = second.offset_us().checked_sub(slot.offset_us())
+                            else {
+                                break 'pixel;
+                            };
+                            let order = &mut orders[code as usize % 4];
+                            let (raised, raised_bits, learned) = raise(distance, *order);
+                            let put = out.put::<true>(code, bits);
+                            if put == Put::None {
+                                break 'pixel;
+                            }
+                            if out.put::<false>(raised << 2 | END, raised_bits + 2) == Put::None {
+                                back = usize::from(put == Put::Word);
+                                break 'pixel;
+                            }
+                            *order = learned;
+                            counts += EVENT;
+                        }
+                    } else {
+                        let bits = codes.bits - 2 * code.leading_zeros();
+                        if out.put::<true>(code, bits) == Put::None {
+                            break 'pixel;
+                        }
+                    }
+                    before = column + 1;
+                    counts -= 1;
+                    let rest = NonZeroU32::new(left.get() & (left.get() - 1));
+                    if counts.is_multiple_of(EVENT) {
+                        coder.gaps.end_term(start + before, coder.cell_bits());
+                        counts += TERM_PIXELS * (EVENT + 1);
+                        codes = Codes::new(coder, event_bits);
+                        if !codes.are_short() {
+                            columns = rest.map_or(0, NonZeroU32::get);
+                            break 'segments;
+                        }
+                    }
+                    let Some(rest) = rest else {
+                        break 'pixels;
+                    };
+                    left = rest;
+                    continue 'pixels;
+                }
+                entry.head = head;
+                out.bits = bits_before;
+                columns = left.get();
+                break 'segments;
+            }
         }
+        before = before.wrapping_add(start);
+        let Some((segment, head)) = group.take_segment(window) else {
+            columns = 0;
+            start = 0;
+            break;
+        };
+        start = segment * u32::from(SEGMENT_PIXELS);
+        before = before.wrapping_sub(start);
+        columns = deal(&mut group.entries, head, window.slots());
     }
-    group.columns = columns.reverse_bits();
+    group.columns = columns;
     if columns != 0 {
         // Never 0; asking leaves no panic in the code.
         let y = start.checked_div(row).unwrap_or(0);
         (group.segment_x, group.segment_y) = ((start - y * row) as u16, y as u16);
     }
     let position = Position {
-        pending: out.pending,
-        free: 32 - out.used,
-        words: out.at,
+        pending: out.bits.pending,
+        free: 32 - out.bits.used,
+        words: limit - out.rest.len() - back,
     };
     writer.rewind(position);
-    coder.gaps.next = next;
-    coder.gaps.term_left = term_left;
-    (events + term_before).wrapping_sub(term_left)
+    coder.orders = orders.map(|zeros| 30_u8.wrapping_sub(zeros));
+    coder.gaps.next = before.wrapping_add(start);
+    coder.gaps.term_left = counts % EVENT;
+    (counts / EVENT + term_before).wrapping_sub(counts % EVENT)
 }
 
-/// Turns a segment's list, newest first, into one for each column, oldest first; returns the columns,
-/// the first one highest.
+/// Turns a segment's list, newest first, into one for each column, oldest first; returns the columns.
 #[inline(never)]
 fn deal(entries: &mut [Entry; 32], mut head: u32, slots: &mut [Slot]) -> u32 {
     let mut columns = 0;
@@ -240,61 +271,58 @@ fn deal(entries: &mut [Entry; 32], mut head: u32, slots: &mut [Slot]) -> u32 {
         entry.head = head;
         head = next;
     }
-    u32::reverse_bits(columns)
+    columns
 }
 
-/// A raised distance, the bits of its code, and the order that follows.
+/// A raised distance, the bits of its code, and the order that follows; `zeros` is 30 less the order.
 #[inline(always)]
-fn raise(distance: u32, order: u8) -> (u32, u32, u8) {
-    let turn = 31 - u32::from(order);
-    let raised = distance + FIRST.rotate_right(turn);
-    let zeros = raised.leading_zeros();
-    let order = (30 - zeros as i32).max(0) as u8;
-    (raised, 32 + turn - 2 * zeros, order)
+fn raise(distance: u32, zeros: u8) -> (u32, u32, u8) {
+    let zeros = u32::from(zeros);
+    let raised = distance + (FIRST >> 1).rotate_right(zeros);
+    let bits = 33 + zeros - 2 * raised.leading_zeros();
+    (raised, bits, (raised | 2).leading_zeros() as u8)
 }
 
 /// Puts a pixel of several events, of which the code is that of the place, the first event, and the second
-/// one's polarity; returns how many follow the first one. Or 0, and leaves everything as it was.
-#[inline(never)]
-fn several(
+/// one's polarity; returns how many follow the first one. Or 0, and leaves the orders as they were.
+#[inline(always)]
+fn several<'o>(
     (first, second): (&Slot, &Slot),
     (code, bits): (u32, u32),
     slots: &[Slot],
     orders: &mut Orders,
-    (words, output): (&mut [[u8; 4]], &mut Output),
-) -> u32 {
+    out: Output<'o>,
+) -> (Output<'o>, u32) {
+    let mut out = Output {
+        rest: out.rest,
+        bits: out.bits,
+    };
     let before = *orders;
-    let mut out = *output;
-    out.put(words, code, bits);
     let mut events = 0;
-    let (mut cell, mut sign) = (first.offset_us(), u32::from(first.is_on()));
+    let mut go_on = out.put::<true>(code, bits) != Put::None;
+    let (mut cell, mut sign) = (first.offset_us(), first.sign());
     let mut slot = *second;
-    while let Some(distance) = slot.offset_us().checked_sub(cell) {
+    while go_on && let Some(distance) = slot.offset_us().checked_sub(cell) {
         cell = slot.offset_us();
-        let sign_now = u32::from(slot.is_on());
+        let sign_now = slot.sign();
         let order = &mut orders[(2 * sign + sign_now) as usize % 4];
         let (raised, bits, learned) = raise(distance, *order);
         *order = learned;
         events += 1;
-        if bits > 30 {
-            break;
-        }
         let Some(after) = slots.get(slot.next() as usize) else {
-            out.put(words, raised << 2 | END, bits + 2);
-            *output = out;
-            return events;
+            if out.put::<false>(raised << 2 | END, bits + 2) == Put::None {
+                break;
+            }
+            return (out, events);
         };
-        if out.at + 1 >= words.len() {
-            break;
-        }
-        if u32::from(after.is_on()) == sign_now {
-            out.put(words, raised << 1, bits + 1);
+        if after.sign() == sign_now {
+            go_on = out.put::<false>(raised << 1, bits + 1) != Put::None;
         } else {
-            out.put(words, raised << 2 | FLIP, bits + 2);
+            go_on = out.put::<false>(raised << 2 | FLIP, bits + 2) != Put::None;
         }
         sign = sign_now;
         slot = *after;
     }
     *orders = before;
-    0
+    (out, 0)
 }

@@ -37,16 +37,18 @@ impl Intake<'_> {
     /// that is neither; returns how many words it took.
     #[inline]
     pub fn take(&mut self, words: &[[u8; 4]]) -> usize {
+        #[cfg(all(not(eecvs_intake_asm), not(target_pointer_width = "64")))]
+        use crate::intake_words as machine;
         #[cfg(eecvs_intake_asm)]
         use arm as machine;
-        #[cfg(not(eecvs_intake_asm))]
+        #[cfg(target_pointer_width = "64")]
         use portable as machine;
         machine::take(self, words)
     }
 }
 
-/// On any core.
-#[cfg(not(eecvs_intake_asm))]
+/// On a host.
+#[cfg(target_pointer_width = "64")]
 mod portable {
     use super::Intake;
     use crate::evt2::{KIND_SHIFT, NO_EVENT, SIDE_MASK, X_SHIFT, low_us, time_step_us};
@@ -112,9 +114,7 @@ mod portable {
     }
 
     impl Segments<'_> {
-        /// Apart, so that all of it is in registers.
-        #[cfg_attr(target_pointer_width = "64", inline(always))]
-        #[cfg_attr(not(target_pointer_width = "64"), inline(never))]
+        #[inline(always)]
         fn take(mut self, words: &[[u8; 4]], slots: &mut [Slot]) -> u32 {
             for (word, slot) in words.iter().zip(slots) {
                 if !self.event(u32::from_le_bytes(*word), slot) {

@@ -46,6 +46,8 @@ pub mod group;
 pub mod hot_pixels;
 pub mod ingest;
 mod intake;
+#[cfg(not(any(eecvs_intake_asm, target_pointer_width = "64")))]
+mod intake_words;
 pub mod kernel;
 #[cfg(eecvs_dsp)]
 mod lanes_dsp;
