@@ -14,6 +14,7 @@ use crate::reconstruct::arrival::Arrivals;
 use crate::reconstruct::coefficients::CoefficientDecoder;
 use crate::reconstruct::events::{EventDecoder, Finder};
 use crate::reconstruct::hybrid::{HybridDecoder, Refused};
+use crate::reconstruct::order::ByTime;
 use crate::reconstruct::recover::Confidences;
 use crate::reconstruct::{DecodedWindow, pixels};
 
@@ -254,6 +255,7 @@ pub fn decode<R: Read>(
     let mut decoding = Duration::ZERO;
     let mut writer: Option<Option<Box<dyn EventWriter>>> = None;
     let mut decoder: Option<EventDecoder> = None;
+    let (mut by_time, mut events) = (ByTime::default(), Vec::new());
     while let Some(window) = windows.next_window()? {
         each(summary.windows, &window)?;
         let header = &window.header;
@@ -264,18 +266,24 @@ pub fn decode<R: Read>(
         summary.windows += 1;
         if let Some(output) = output {
             let started = Instant::now();
-            let decoder = match &mut decoder {
-                Some(decoder) if decoder.fits(&window) => decoder,
-                _ => {
-                    let Header {
-                        transform, grid, m, ..
-                    } = *header;
-                    decoder.insert(EventDecoder::new(transform, grid, m, finder))
-                }
-            };
-            let (events, confidences) = decoder.window_with_confidence(&window);
+            if window.events.is_empty() {
+                let decoder = match &mut decoder {
+                    Some(decoder) if decoder.fits(&window) => decoder,
+                    _ => {
+                        let Header {
+                            transform, grid, m, ..
+                        } = *header;
+                        decoder.insert(EventDecoder::new(transform, grid, m, finder))
+                    }
+                };
+                let confidences;
+                (events, confidences) = decoder.window_with_confidence(&window);
+                summary.confidences.add(confidences);
+            } else {
+                events.clear();
+                by_time.append(header, &window.events, &mut events);
+            }
             decoding += started.elapsed();
-            summary.confidences.add(confidences);
             output.write(&events)?;
             summary.events += events.len() as u64;
         }

@@ -150,14 +150,39 @@ fn event(header: &Header, times: Times, (x, y): (u16, u16), told: u32, on: bool)
 }
 
 fn fast(header: &Header, payload: &[u8], times: Times) -> Result<Vec<Event>, Refused> {
+    if times.are_plain() {
+        fast_at(header, payload, times, |_, cell| cell)
+    } else {
+        fast_at(header, payload, times, |at, cell| times.offset_us(at, cell))
+    }
+}
+
+/// The fast coder's events, at the offsets that `offset_us` finds.
+fn fast_at(
+    header: &Header,
+    payload: &[u8],
+    times: Times,
+    offset_us: impl Fn((u16, u16), u32) -> u32,
+) -> Result<Vec<Event>, Refused> {
     let coder = Fast::new(header.sensor, header.window_events, times.count());
     let mut reader = BigReader::new(payload);
     // An event takes a bit at the least: so much and no more is believed before it is read.
     let believed = payload.len().saturating_mul(8).min(header.events as usize);
     let mut events = Vec::with_capacity(believed);
-    let each = |position, cell, on| events.push(event(header, times, position, cell, on));
+    let each = |(x, y), cell, on| {
+        // Always so; without a way on which they grow, their length stays in a register.
+        if events.len() < events.capacity() {
+            let offset_us = offset_us((x, y), cell);
+            events.push(Event {
+                t_us: header.t0_us.saturating_add(u64::from(offset_us)),
+                x,
+                y,
+                polarity: Polarity::from_bool(on),
+            });
+        }
+    };
     match coder.read(header.events, &mut reader, each) {
-        Ok(_) if reader.is_spent() => Ok(events),
+        Ok(()) if reader.is_spent() && events.len() == header.events as usize => Ok(events),
         _ => Err(Refused::Malformed),
     }
 }
