@@ -82,6 +82,11 @@ impl<R: Read> WindowReader<R> {
         self.windows.counts()
     }
 
+    /// Takes a window's memory back, for those to come.
+    pub fn reuse(&mut self, window: DecodedWindow) {
+        self.windows.reuse(window);
+    }
+
     /// The next window that has events, or `None` at the end.
     ///
     /// # Errors
@@ -125,6 +130,11 @@ impl Windows {
             Some(_) => self.pending_events as u64,
             None => 0,
         }
+    }
+
+    /// Takes a window's memory back, for those to come.
+    pub fn reuse(&mut self, window: DecodedWindow) {
+        self.hybrid.reuse(window.events);
     }
 
     /// Takes the next frame; `ready` gets the windows with events that end before or with it.
@@ -255,8 +265,8 @@ pub fn decode<R: Read>(
     let mut decoding = Duration::ZERO;
     let mut writer: Option<Option<Box<dyn EventWriter>>> = None;
     let mut decoder: Option<EventDecoder> = None;
-    let (mut by_time, mut events) = (ByTime::default(), Vec::new());
-    while let Some(window) = windows.next_window()? {
+    let mut by_time = ByTime::default();
+    while let Some(mut window) = windows.next_window()? {
         each(summary.windows, &window)?;
         let header = &window.header;
         let output = match &mut writer {
@@ -277,17 +287,17 @@ pub fn decode<R: Read>(
                     }
                 };
                 let confidences;
-                (events, confidences) = decoder.window_with_confidence(&window);
+                (window.events, confidences) = decoder.window_with_confidence(&window);
                 summary.confidences.add(confidences);
             } else {
-                events.clear();
-                by_time.append(header, &window.events, &mut events);
+                by_time.sort(header, &mut window.events);
             }
             decoding += started.elapsed();
-            output.write(&events)?;
-            summary.events += events.len() as u64;
+            output.write(&window.events)?;
+            summary.events += window.events.len() as u64;
         }
         progress(summary.events);
+        windows.reuse(window);
     }
     if let Some(output) = writer.flatten() {
         output.finish()?;

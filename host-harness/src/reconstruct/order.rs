@@ -25,52 +25,62 @@ pub struct ByTime {
     spare: Vec<u64>,
 }
 
-/// [`ByTime::append`] of one window.
+/// [`ByTime::sort`] of one window.
 #[must_use]
 pub fn by_time(header: &Header, events: &[Event]) -> Vec<Event> {
-    let mut sorted = Vec::new();
-    ByTime::default().append(header, events, &mut sorted);
+    let mut sorted = events.to_vec();
+    ByTime::default().sort(header, &mut sorted);
     sorted
 }
 
 impl ByTime {
-    /// Puts a window's events behind those of `sorted`.
-    pub fn append(&mut self, header: &Header, events: &[Event], sorted: &mut Vec<Event>) {
-        let start = sorted.len();
-        sorted.extend_from_slice(events);
-        let sorted = &mut sorted[start..];
+    /// Sorts a window's events.
+    pub fn sort(&mut self, header: &Header, events: &mut [Event]) {
         // Of the largest offset.
         let bits = u32::BITS - header.duration_us.saturating_sub(1).leading_zeros();
         let is_countable = bits <= OFFSET_BITS && u32::try_from(events.len()).is_ok();
         let t0_us = header.t0_us;
         if events.len() < COUNTED_MIN || !is_countable {
-            sorted.sort_by_key(|event| event.t_us);
+            events.sort_by_key(|event| event.t_us);
         } else if bits <= ONE_PASS_BITS && events.len() >> bits.saturating_sub(2) > 0 {
-            one_pass(t0_us, bits, events, sorted);
+            self.one_pass(t0_us, bits, events);
         } else if bits <= 2 * DIGIT_BITS {
-            self.passes::<2>(t0_us, bits, events, sorted);
+            self.passes::<2>(t0_us, bits, events);
         } else if bits <= 3 * DIGIT_BITS {
-            self.passes::<3>(t0_us, bits, events, sorted);
+            self.passes::<3>(t0_us, bits, events);
         } else {
-            self.passes::<4>(t0_us, bits, events, sorted);
+            self.passes::<4>(t0_us, bits, events);
         }
     }
 
-    /// From `events` to keys, from these to others, and from those to `sorted`.
-    fn passes<const DIGITS: usize>(
-        &mut self,
-        t0_us: u64,
-        bits: u32,
-        events: &[Event],
-        sorted: &mut [Event],
-    ) {
+    /// To keys as they are, and from these to their places.
+    fn one_pass(&mut self, t0_us: u64, bits: u32, events: &mut [Event]) {
+        let mut places = [0; 1 << ONE_PASS_BITS];
+        let places = &mut places[..1 << bits];
+        let last = places.len() - 1;
+        self.keys.clear();
+        self.keys.extend(events.iter().map(|event| {
+            let offset_us = event.t_us.wrapping_sub(t0_us);
+            places[offset_us as usize & last] += 1;
+            key(offset_us, event)
+        }));
+        begins(places);
+        for key in &self.keys {
+            let place = &mut places[(key >> PIXEL_BITS) as usize & last];
+            events[*place as usize] = event(t0_us, *key);
+            *place += 1;
+        }
+    }
+
+    /// From events to keys, from these to others, and back.
+    fn passes<const DIGITS: usize>(&mut self, t0_us: u64, bits: u32, events: &mut [Event]) {
         let digit_bits = bits.div_ceil(DIGITS as u32);
         let digit = |offset_us: u64, digit: usize| {
             let above = offset_us >> (digit as u32 * digit_bits);
             above as usize & ((1 << digit_bits) - 1) & (PLACES - 1)
         };
         let mut places = [[0; PLACES]; DIGITS];
-        for event in events {
+        for event in &*events {
             let offset_us = event.t_us.wrapping_sub(t0_us);
             for (at, places) in places.iter_mut().enumerate() {
                 places[digit(offset_us, at)] += 1;
@@ -83,7 +93,7 @@ impl ByTime {
             return;
         };
         self.keys.resize(events.len(), 0);
-        for event in events {
+        for event in &*events {
             let offset_us = event.t_us.wrapping_sub(t0_us);
             let place = &mut first[digit(offset_us, 0)];
             self.keys[*place as usize] = key(offset_us, event);
@@ -100,26 +110,9 @@ impl ByTime {
         }
         for key in &self.keys {
             let place = &mut last[digit(key >> PIXEL_BITS, DIGITS - 1)];
-            sorted[*place as usize] = event(t0_us, *key);
+            events[*place as usize] = event(t0_us, *key);
             *place += 1;
         }
-    }
-}
-
-/// From `events` to `sorted`, by the lowest `bits` bits of the time's offset.
-fn one_pass(t0_us: u64, bits: u32, events: &[Event], sorted: &mut [Event]) {
-    let mut places = [0; 1 << ONE_PASS_BITS];
-    let places = &mut places[..1 << bits];
-    let last = places.len() - 1;
-    let offset_us = |event: &Event| event.t_us.wrapping_sub(t0_us) as usize & last;
-    for event in events {
-        places[offset_us(event)] += 1;
-    }
-    begins(places);
-    for event in events {
-        let place = &mut places[offset_us(event)];
-        sorted[*place as usize] = *event;
-        *place += 1;
     }
 }
 
@@ -163,8 +156,7 @@ mod tests {
                 1..4,
             ),
         ) {
-            let (mut by_time, mut sorted) = (ByTime::default(), Vec::new());
-            let mut expected = Vec::new();
+            let mut by_time = ByTime::default();
             for (duration_us, items) in windows {
                 let header = header(duration_us);
                 let event = |(offset, x, y): &(u32, u16, u16)| Event {
@@ -173,13 +165,12 @@ mod tests {
                     y: u16::MAX - y,
                     polarity: Polarity::from_bool(x & 2 == 0),
                 };
-                let events: Vec<_> = items.iter().map(event).collect();
-                by_time.append(&header, &events, &mut sorted);
-                let start = expected.len();
-                expected.extend(events);
-                expected[start..].sort_by_key(|event| event.t_us);
+                let mut events: Vec<_> = items.iter().map(event).collect();
+                let mut expected = events.clone();
+                expected.sort_by_key(|event| event.t_us);
+                by_time.sort(&header, &mut events);
+                prop_assert_eq!(events, expected);
             }
-            prop_assert_eq!(sorted, expected);
         }
     }
 }

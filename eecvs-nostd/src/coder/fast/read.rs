@@ -7,7 +7,7 @@
 use super::{Fast, Malformed, TERM_PIXELS};
 use crate::coder::big_bits::{AHEAD_BITS, BigReader};
 
-/// 2^-40 of a place is less than the 2^-11 that a column is of the longest row.
+/// Of places, all below 2^22, 2^-40 each is less than a column's share of a row, 2^-11 or more.
 const ROW_SHIFT: u32 = 40;
 
 /// What stays as it is in a frame.

@@ -100,10 +100,11 @@ impl McuParser {
                 Ok(()) => self.time_us = self.time_us.max(Some(end_us)),
                 Err(refused) => self.report.count_refused(refused),
             }
-            for window in self.ready.drain(..) {
+            for mut window in self.ready.drain(..) {
                 let before = events.len();
                 if window.pixels.is_empty() {
-                    self.by_time.append(&window.header, &window.events, events);
+                    self.by_time.sort(&window.header, &mut window.events);
+                    events.extend_from_slice(&window.events);
                 } else {
                     let decoder = match &mut self.decoder {
                         Some(decoder) if decoder.fits(&window) => decoder,
@@ -112,6 +113,7 @@ impl McuParser {
                     events.extend(decoder.window(&window));
                 }
                 self.events += (events.len() - before) as u64;
+                self.windows.reuse(window);
             }
         }
     }
