@@ -14,6 +14,7 @@ use crate::reconstruct::arrival::Arrivals;
 use crate::reconstruct::coefficients::CoefficientDecoder;
 use crate::reconstruct::events::{EventDecoder, Finder};
 use crate::reconstruct::hybrid::{HybridDecoder, Refused};
+use crate::reconstruct::order::ByTime;
 use crate::reconstruct::recover::Confidences;
 use crate::reconstruct::{DecodedWindow, pixels};
 
@@ -81,6 +82,11 @@ impl<R: Read> WindowReader<R> {
         self.windows.counts()
     }
 
+    /// Takes a window's memory back, for those to come.
+    pub fn reuse(&mut self, window: DecodedWindow) {
+        self.windows.reuse(window);
+    }
+
     /// The next window that has events, or `None` at the end.
     ///
     /// # Errors
@@ -124,6 +130,11 @@ impl Windows {
             Some(_) => self.pending_events as u64,
             None => 0,
         }
+    }
+
+    /// Takes a window's memory back, for those to come.
+    pub fn reuse(&mut self, window: DecodedWindow) {
+        self.hybrid.reuse(window.events);
     }
 
     /// Takes the next frame; `ready` gets the windows with events that end before or with it.
@@ -254,7 +265,8 @@ pub fn decode<R: Read>(
     let mut decoding = Duration::ZERO;
     let mut writer: Option<Option<Box<dyn EventWriter>>> = None;
     let mut decoder: Option<EventDecoder> = None;
-    while let Some(window) = windows.next_window()? {
+    let mut by_time = ByTime::default();
+    while let Some(mut window) = windows.next_window()? {
         each(summary.windows, &window)?;
         let header = &window.header;
         let output = match &mut writer {
@@ -264,22 +276,28 @@ pub fn decode<R: Read>(
         summary.windows += 1;
         if let Some(output) = output {
             let started = Instant::now();
-            let decoder = match &mut decoder {
-                Some(decoder) if decoder.fits(&window) => decoder,
-                _ => {
-                    let Header {
-                        transform, grid, m, ..
-                    } = *header;
-                    decoder.insert(EventDecoder::new(transform, grid, m, finder))
-                }
-            };
-            let (events, confidences) = decoder.window_with_confidence(&window);
+            if window.events.is_empty() {
+                let decoder = match &mut decoder {
+                    Some(decoder) if decoder.fits(&window) => decoder,
+                    _ => {
+                        let Header {
+                            transform, grid, m, ..
+                        } = *header;
+                        decoder.insert(EventDecoder::new(transform, grid, m, finder))
+                    }
+                };
+                let confidences;
+                (window.events, confidences) = decoder.window_with_confidence(&window);
+                summary.confidences.add(confidences);
+            } else {
+                by_time.sort(header, &mut window.events);
+            }
             decoding += started.elapsed();
-            summary.confidences.add(confidences);
-            output.write(&events)?;
-            summary.events += events.len() as u64;
+            output.write(&window.events)?;
+            summary.events += window.events.len() as u64;
         }
         progress(summary.events);
+        windows.reuse(window);
     }
     if let Some(output) = writer.flatten() {
         output.finish()?;

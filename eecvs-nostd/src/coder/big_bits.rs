@@ -252,6 +252,9 @@ mod writer {
     }
 }
 
+/// Bits that [`BigReader::look`] looks ahead.
+pub(super) const AHEAD_BITS: u32 = 56;
+
 /// Reads what a [`BigWriter`] wrote.
 #[derive(Debug, Clone)]
 pub struct BigReader<'i> {
@@ -299,6 +302,51 @@ impl<'i> BigReader<'i> {
         }
     }
 
+    /// Looks [`AHEAD_BITS`] bits ahead, or further; not near the end.
+    #[inline(always)]
+    pub(super) fn look(&mut self) -> bool {
+        let Some((bytes, _)) = self.input.split_first_chunk::<8>() else {
+            return false;
+        };
+        self.ahead |= u64::from_be_bytes(*bytes) >> (self.bits & 63);
+        // Fewer than 8, which is plain to see for the compiler.
+        let whole = ((self.bits ^ 63) >> 3) & 7;
+        self.input = self.input.get(whole as usize..).unwrap_or_default();
+        self.bits |= AHEAD_BITS;
+        true
+    }
+
+    /// The next bit.
+    ///
+    /// # Errors
+    /// [`Ended`].
+    #[inline(always)]
+    pub(super) fn one(&mut self) -> Result<u32, Ended> {
+        if self.bits == 0 {
+            let mut copy = self.clone();
+            copy.refill_at_end();
+            *self = copy;
+            if self.bits == 0 {
+                return Err(Ended);
+            }
+        }
+        let bit = (self.ahead >> 63) as u32;
+        self.skip(1);
+        Ok(bit)
+    }
+
+    /// Zeros that come next, up to 63, as far as can be seen.
+    #[inline(always)]
+    pub(super) const fn zeros(&self) -> u32 {
+        (self.ahead | 1).leading_zeros()
+    }
+
+    /// The next `bits` (1 to 64), as far as can be seen.
+    #[inline(always)]
+    pub(super) const fn top(&self, bits: u32) -> u64 {
+        self.ahead >> (bits.wrapping_neg() & 63)
+    }
+
     /// Makes sure of `bits` (0 to 56) bits.
     ///
     /// # Errors
@@ -316,7 +364,7 @@ impl<'i> BigReader<'i> {
 
     /// Goes on by `bits` (0 to 63) bits, which are there.
     #[inline(always)]
-    const fn skip(&mut self, bits: u32) {
+    pub(super) const fn skip(&mut self, bits: u32) {
         self.ahead <<= bits & 63;
         self.bits = self.bits.wrapping_sub(bits);
     }

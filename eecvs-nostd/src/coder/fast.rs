@@ -6,8 +6,10 @@
 //! same polarities, or of the way that the last 32 pixels took. Both directions share it, and it
 //! starts anew with every frame, so that each decodes by itself.
 
+mod read;
+
 use crate::bits::Ended;
-use crate::coder::big_bits::{BigReader, BigWriter, CODE_BITS, Code};
+use crate::coder::big_bits::{BigWriter, CODE_BITS, Code};
 use crate::event::Sensor;
 #[cfg(not(target_pointer_width = "64"))]
 use crate::window::FIRST;
@@ -314,82 +316,6 @@ impl Fast {
             };
         }
     }
-
-    /// Reads a frame's `events` events; `each` gets their columns, rows, cells and polarities.
-    ///
-    /// # Errors
-    /// [`Malformed`]; what came before has been handed on. No input makes it panic.
-    pub fn read(
-        mut self,
-        events: u32,
-        reader: &mut BigReader<'_>,
-        mut each: impl FnMut((u16, u16), u32, bool),
-    ) -> Result<u32, Malformed> {
-        let mut left = events;
-        let mut pixels = 0;
-        // The row at hand, and its first place.
-        let (mut y, mut start) = (0, 0);
-        while left > 0 {
-            // The bit below the gap comes as if it were a part of it.
-            let raised = reader.get_raised(self.gaps.order())?;
-            let gap = raised - self.gaps.base / 2;
-            let place = self.gaps.next.checked_add(gap);
-            let place = place.ok_or(Malformed::Position)?;
-            while place - start >= self.row {
-                (y, start) = (y + 1, start + self.row);
-                if y >= self.height {
-                    return Err(Malformed::Position);
-                }
-            }
-            let x = place - start;
-            if x >= self.width {
-                return Err(Malformed::Position);
-            }
-            let position = (x as u16, y as u16);
-            let is_single = reader.get(1)? == 1;
-            let mut cell = reader.get(self.cell_bits)?;
-            if cell >= self.cells {
-                return Err(Malformed::Time);
-            }
-            let on = reader.get(1)?;
-            each(position, cell, on == 1);
-            left -= 1;
-            self.gaps.step(place, self.cell_bits);
-            pixels += 1;
-            if is_single {
-                continue;
-            }
-            let mut polarities = on << 1 | reader.get(1)?;
-            loop {
-                left = left.checked_sub(1).ok_or(Malformed::Events)?;
-                let distance = self.get_distance(polarities as usize, reader)?;
-                let next = cell.checked_add(distance);
-                cell = next
-                    .filter(|cell| *cell < self.cells)
-                    .ok_or(Malformed::Time)?;
-                let on = polarities & 1;
-                each(position, cell, on == 1);
-                let is_other = reader.get(1)?;
-                if is_other == 1 && reader.get(1)? == 0 {
-                    break;
-                }
-                polarities = on << 1 | (on ^ is_other);
-            }
-        }
-        Ok(pixels)
-    }
-
-    #[inline(always)]
-    fn get_distance(
-        &mut self,
-        polarities: usize,
-        reader: &mut BigReader<'_>,
-    ) -> Result<u32, Ended> {
-        let order = u32::from(self.orders[polarities % 4]);
-        let raised = reader.get_raised(order)?;
-        self.learn(polarities, raised.leading_zeros());
-        Ok(raised - (1 << (order & 31)))
-    }
 }
 
 /// A pixel's second event, before it is written.
@@ -459,6 +385,7 @@ fn put_long(writer: &mut BigWriter<'_>, parts: [(u32, u32); 3]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::coder::big_bits::BigReader;
     use proptest::prelude::*;
     use std::collections::BTreeMap;
     use std::vec;

@@ -28,6 +28,8 @@ pub struct HybridDecoder {
     chain: Option<Chain>,
     nodes: Vec<Node>,
     positions: Vec<(u16, u16)>,
+    /// Memory for the next frame's events.
+    spare: Vec<Event>,
 }
 
 /// What the dense coder knows after a frame.
@@ -67,6 +69,13 @@ impl Chain {
 }
 
 impl HybridDecoder {
+    /// Takes memory of events back.
+    pub fn reuse(&mut self, events: Vec<Event>) {
+        if self.spare.capacity() < events.capacity() {
+            self.spare = events;
+        }
+    }
+
     /// A frame's events, in raster order.
     ///
     /// # Errors
@@ -76,7 +85,7 @@ impl HybridDecoder {
         let (payload, _) = frame.sections();
         let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
         match hybrid.coder {
-            Coder::Fast => fast(header, payload, times),
+            Coder::Fast => fast(header, payload, times, std::mem::take(&mut self.spare)),
             // What tells the order alone is nothing to the coder.
             Coder::Dense if header.order.is_some() && header.events == 0 => {
                 self.pass(header, payload)
@@ -132,10 +141,13 @@ impl HybridDecoder {
         }
         chain.next = header.sequence.wrapping_add(1);
         self.chain = Some(chain);
+        let mut events = std::mem::take(&mut self.spare);
+        events.clear();
         let found = self.positions.iter().zip(&self.nodes);
-        Ok(found
-            .map(|(position, node)| event(header, times, *position, node.cell, node.on))
-            .collect())
+        events.extend(
+            found.map(|(position, node)| event(header, times, *position, node.cell, node.on)),
+        );
+        Ok(events)
     }
 }
 
@@ -149,15 +161,49 @@ fn event(header: &Header, times: Times, (x, y): (u16, u16), told: u32, on: bool)
     }
 }
 
-fn fast(header: &Header, payload: &[u8], times: Times) -> Result<Vec<Event>, Refused> {
+/// The fast coder's events, in the memory of `events`.
+fn fast(
+    header: &Header,
+    payload: &[u8],
+    times: Times,
+    events: Vec<Event>,
+) -> Result<Vec<Event>, Refused> {
+    if times.are_plain() {
+        fast_at(header, payload, times, events, |_, cell| cell)
+    } else {
+        let offset_us = |at, cell| times.offset_us(at, cell);
+        fast_at(header, payload, times, events, offset_us)
+    }
+}
+
+/// The same, with the offsets that `offset_us` finds.
+fn fast_at(
+    header: &Header,
+    payload: &[u8],
+    times: Times,
+    mut events: Vec<Event>,
+    offset_us: impl Fn((u16, u16), u32) -> u32,
+) -> Result<Vec<Event>, Refused> {
     let coder = Fast::new(header.sensor, header.window_events, times.count());
     let mut reader = BigReader::new(payload);
     // An event takes a bit at the least: so much and no more is believed before it is read.
     let believed = payload.len().saturating_mul(8).min(header.events as usize);
-    let mut events = Vec::with_capacity(believed);
-    let each = |position, cell, on| events.push(event(header, times, position, cell, on));
+    events.clear();
+    events.reserve(believed);
+    let each = |(x, y), cell, on| {
+        // Always so; without a way on which they grow, their length stays in a register.
+        if events.len() < events.capacity() {
+            let offset_us = offset_us((x, y), cell);
+            events.push(Event {
+                t_us: header.t0_us.saturating_add(u64::from(offset_us)),
+                x,
+                y,
+                polarity: Polarity::from_bool(on),
+            });
+        }
+    };
     match coder.read(header.events, &mut reader, each) {
-        Ok(_) if reader.is_spent() => Ok(events),
+        Ok(()) if reader.is_spent() && events.len() == header.events as usize => Ok(events),
         _ => Err(Refused::Malformed),
     }
 }

@@ -11,9 +11,10 @@ use host_harness::decode::Windows;
 use host_harness::encode::WINDOW_EVENTS;
 use host_harness::formats::Skipped;
 use host_harness::frame_file::{FrameOrder, LinkReport};
+use host_harness::reconstruct::DecodedWindow;
 use host_harness::reconstruct::events::{EventDecoder, Finder};
 use host_harness::reconstruct::hybrid::Refused;
-use host_harness::reconstruct::{DecodedWindow, order};
+use host_harness::reconstruct::order::ByTime;
 
 use super::messages::{FRAME_BYTES_MAX, Message, Messages};
 use crate::device::Parse;
@@ -32,6 +33,7 @@ pub struct McuParser {
     /// Events found at a break, for the next call.
     late: Vec<Event>,
     decoder: Option<EventDecoder>,
+    by_time: ByTime,
     time_us: Option<u64>,
     events: u64,
     statuses: u64,
@@ -53,6 +55,7 @@ impl McuParser {
             ready: Vec::new(),
             late: Vec::new(),
             decoder: None,
+            by_time: ByTime::default(),
             time_us: None,
             events: 0,
             statuses: 0,
@@ -97,18 +100,20 @@ impl McuParser {
                 Ok(()) => self.time_us = self.time_us.max(Some(end_us)),
                 Err(refused) => self.report.count_refused(refused),
             }
-            for window in self.ready.drain(..) {
-                let found = if window.pixels.is_empty() {
-                    order::by_time(&window.header, &window.events)
+            for mut window in self.ready.drain(..) {
+                let before = events.len();
+                if window.pixels.is_empty() {
+                    self.by_time.sort(&window.header, &mut window.events);
+                    events.extend_from_slice(&window.events);
                 } else {
                     let decoder = match &mut self.decoder {
                         Some(decoder) if decoder.fits(&window) => decoder,
                         decoder => decoder.insert(decoder_of(&window)),
                     };
-                    decoder.window(&window)
-                };
-                self.events += found.len() as u64;
-                events.extend(found);
+                    events.extend(decoder.window(&window));
+                }
+                self.events += (events.len() - before) as u64;
+                self.windows.reuse(window);
             }
         }
     }
