@@ -1,6 +1,6 @@
 //! A simulated encoder with a sensor on a port of its own: what a host sends it, it takes and leaves.
 
-use super::{COUNTS, COUNTS_BYTES, COUNTS_LAYOUT, FROM_HOST, IDENTITY, TO_HOST};
+use super::{COUNTS, COUNTS_BYTES, COUNTS_LAYOUT, FROM_HOST, IDENTITY, RESTART, TO_HOST};
 use crate::device::{Due, Stream};
 use crate::link::control::Request;
 use crate::peripheral::descriptors::{Device, Endpoint, Interface};
@@ -50,8 +50,13 @@ impl Peripheral for McuCamera {
     }
 
     fn control(&mut self, request: Request, _: &[u8], length: usize) -> Reply {
-        if request.kind != Request::VENDOR_IN || request.request != COUNTS {
-            return Reply::Stall;
+        match (request.kind, request.request) {
+            (Request::VENDOR_IN, COUNTS) => {}
+            (Request::VENDOR_OUT, RESTART) => {
+                self.reset();
+                return Reply::Data(Vec::new());
+            }
+            _ => return Reply::Stall,
         }
         let mut counts = [0; COUNTS_BYTES];
         counts[0] = COUNTS_LAYOUT;
