@@ -147,6 +147,8 @@ fn send(port: &mut dyn SerialPort, name: &str, bytes: &[u8]) -> Result<(), LinkE
 
 #[cfg(all(test, unix))]
 mod tests {
+    use std::io::Write;
+
     use super::*;
 
     fn pair() -> (SerialLink, serialport::TTYPort) {

@@ -133,7 +133,7 @@ impl Model for Mcu {
         Some(Box::new(McuStream::new(sensor)))
     }
 
-    fn camera(&self, _: Sensor, stream: Box<dyn Stream>) -> Option<Box<dyn Peripheral>> {
-        Some(Box::new(McuCamera::new(stream)))
+    fn camera(&self, sensor: Sensor, stream: Box<dyn Stream>) -> Option<Box<dyn Peripheral>> {
+        Some(Box::new(McuCamera::new(sensor, stream)))
     }
 }
