@@ -72,7 +72,7 @@ impl Link {
         }
     }
 
-    const fn ignore(&mut self, count: usize) {
+    pub(crate) const fn ignore(&mut self, count: usize) {
         self.ignored = self.ignored.wrapping_add(count as u32);
     }
 
@@ -157,6 +157,13 @@ impl Default for Link {
 pub struct LinkSource<'l, F> {
     link: &'l mut Link,
     next_byte: F,
+}
+
+impl<F> LinkSource<'_, F> {
+    /// Counts an input that nobody wanted.
+    pub(crate) const fn ignore(&mut self) {
+        self.link.ignore(1);
+    }
 }
 
 impl<F: FnMut() -> Option<u8>> EventSource for LinkSource<'_, F> {

@@ -6,6 +6,7 @@ use heapless::spsc::{Consumer, Producer};
 use crate::event_link::Setup;
 use crate::evt2::is_event;
 use crate::ingest::{EventSource, Input};
+use crate::link_source::LinkSource;
 
 /// Type of the words that stand for a loss in the queue: EVT 2.0 has none of this type.
 const LOSS: u32 = 7;
@@ -60,10 +61,12 @@ impl<'q> Port<'q> {
     }
 }
 
-/// Ingest's end. It begins with a setup, as there is no host to send one.
+/// Ingest's end. It begins with a setup of its own; a host may send others, [`SensorSource::with_host`].
 pub struct SensorSource<'q> {
     queue: Consumer<'q, u32>,
     setup: Option<Setup>,
+    /// Width and height of the sensor.
+    size: (u16, u16),
 }
 
 impl<'q> SensorSource<'q> {
@@ -73,6 +76,52 @@ impl<'q> SensorSource<'q> {
         Self {
             queue,
             setup: Some(setup),
+            size: (setup.width, setup.height),
+        }
+    }
+
+    /// With the link of a host that may set the encoder up.
+    pub const fn with_host<'s, F>(&'s mut self, link: LinkSource<'s, F>) -> ToldSensor<'s, 'q, F> {
+        ToldSensor { sensor: self, link }
+    }
+
+    /// A host's setup as it can be here: a sensor cannot be held, and has the size that it has.
+    fn told(&mut self, setup: Setup) -> Setup {
+        self.setup = None;
+        let (width, height) = match self.size == (setup.width, setup.height) {
+            true => self.size,
+            // Refused, as no sensor is.
+            false => (0, 0),
+        };
+        Setup {
+            width,
+            height,
+            when_full: Setup::DROP,
+            ..setup
+        }
+    }
+}
+
+/// A sensor whose events are encoded as a host says: setups, hot pixels and flushes are the link's. Events
+/// of the link are ignored and counted.
+pub struct ToldSensor<'s, 'q, F> {
+    sensor: &'s mut SensorSource<'q>,
+    link: LinkSource<'s, F>,
+}
+
+impl<F: FnMut() -> Option<u8>> EventSource for ToldSensor<'_, '_, F> {
+    #[inline]
+    fn next(&mut self) -> Option<Input> {
+        loop {
+            return match self.link.next() {
+                Some(Input::Setup(setup)) => Some(Input::Setup(self.sensor.told(setup))),
+                Some(input @ (Input::Hot(_) | Input::HotEnd | Input::Flush)) => Some(input),
+                Some(Input::Word(_) | Input::Lost(_)) => {
+                    self.link.ignore();
+                    continue;
+                }
+                None => self.sensor.next(),
+            };
         }
     }
 }
@@ -95,8 +144,95 @@ impl EventSource for SensorSource<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::event_link::{FIELDS_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet};
+    use crate::link_source::Link;
     use heapless::spsc::Queue;
     use proptest::prelude::*;
+
+    const SETUP: Setup = Setup {
+        width: 1,
+        height: 1,
+        window_us: 1,
+        tau_low_pico: 0,
+        tau_high_pico: 0,
+        transform: 0,
+        m: 1,
+        grid: 0,
+        step_log2: 0,
+        mode: 0,
+        fidelity: 0,
+        key_windows: 1,
+        region: [0; 4],
+        isolated: 0,
+        bytes_per_second: 0,
+        scan_period_q16: 0,
+        scan_slope_q16: 0,
+        scan_axis: 0,
+        time_base_us: 0,
+        when_full: Setup::DROP,
+    };
+
+    fn packet(kind: Kind, body: &[u8], out: &mut std::vec::Vec<u8>) {
+        let mut bytes = [0; PACKET_BYTES_MAX];
+        let packet = Packet {
+            kind,
+            position: 0,
+            body,
+        };
+        let len = packet.write(&mut bytes).unwrap();
+        out.extend(&bytes[..len]);
+    }
+
+    fn setup(setup: &Setup, out: &mut std::vec::Vec<u8>) {
+        let mut body = [0; FIELDS_BYTES_MAX];
+        let len = setup.write(&mut body).unwrap();
+        packet(Kind::Setup, &body[..len], out);
+    }
+
+    #[test]
+    fn a_host_sets_up_and_the_sensor_sends() {
+        let mut queue = Queue::<u32, 8>::new();
+        let (producer, consumer) = queue.split();
+        let mut port = Port::new(producer);
+        let mut sensor = SensorSource::new(consumer, SETUP);
+        port.take(&[5]);
+        let asked = Setup {
+            window_us: 7,
+            when_full: Setup::WAIT,
+            ..SETUP
+        };
+        let mut bytes = std::vec::Vec::new();
+        setup(&asked, &mut bytes);
+        packet(Kind::Words, &[1, 0, 0, 0x80, 2, 0, 0, 0x80], &mut bytes);
+        packet(Kind::Hot, &[0], &mut bytes);
+        packet(Kind::Flush, &[], &mut bytes);
+        // Of another sensor.
+        setup(&Setup { width: 2, ..asked }, &mut bytes);
+        let (mut bytes, mut link) = (bytes.into_iter(), Link::new());
+        let mut source = sensor.with_host(link.source(|| bytes.next()));
+        let told = Setup {
+            when_full: Setup::DROP,
+            ..asked
+        };
+        let refused = Setup {
+            width: 0,
+            height: 0,
+            ..told
+        };
+        for input in [
+            Input::Setup(told),
+            Input::Hot(0),
+            Input::HotEnd,
+            Input::Flush,
+            Input::Setup(refused),
+            // The sensor's own setup is over.
+            Input::Word(5),
+        ] {
+            assert_eq!(source.next(), Some(input));
+        }
+        assert_eq!(source.next(), None);
+        assert_eq!((link.ignored(), link.damaged_bytes()), (2, 0));
+    }
 
     proptest! {
         /// Every word comes out in its place, or a loss of as many events stands there.
@@ -108,15 +244,9 @@ mod tests {
         ) {
             let mut queue = Queue::<u32, 8>::new();
             let (producer, consumer) = queue.split();
-            let setup = Setup {
-                width: 1, height: 1, window_us: 1, tau_low_pico: 0, tau_high_pico: 0, transform: 0,
-                m: 1, grid: 0, step_log2: 0, mode: 0, fidelity: 0, key_windows: 1, region: [0; 4],
-                isolated: 0, bytes_per_second: 0, scan_period_q16: 0, scan_slope_q16: 0,
-                scan_axis: 0, time_base_us: 0, when_full: Setup::DROP,
-            };
             let mut port = Port::new(producer);
-            let mut source = SensorSource::new(consumer, setup);
-            prop_assert_eq!(source.next(), Some(Input::Setup(setup)));
+            let mut source = SensorSource::new(consumer, SETUP);
+            prop_assert_eq!(source.next(), Some(Input::Setup(SETUP)));
             let mut sent = std::vec::Vec::new();
             let mut inputs = std::vec::Vec::new();
             for (words, takes) in &transfers {

@@ -10,7 +10,7 @@ use cortex_m::peripheral::scb::SystemHandler;
 use eecvs_nostd::Window;
 use eecvs_nostd::event_link::Setup;
 use eecvs_nostd::ingest::{Exchange, Ingest, Work};
-#[cfg(not(feature = "sensor"))]
+#[cfg(any(feature = "usb", not(feature = "sensor")))]
 use eecvs_nostd::link_source::Link;
 #[cfg(feature = "sensor")]
 use eecvs_nostd::sensor_source::SensorSource;
@@ -147,11 +147,6 @@ pub fn room() -> usize {
 /// The USB link's interrupt: takes a packet's bytes, for which there is room.
 #[cfg(feature = "usb")]
 pub fn put(bytes: &[u8]) {
-    if cfg!(feature = "sensor") {
-        // Events come from the sensor.
-        IGNORED.fetch_add(bytes.len() as u32, Ordering::Relaxed);
-        return;
-    }
     for byte in bytes {
         if !BYTES.is_full() {
             BYTES.put(*byte);
@@ -171,7 +166,7 @@ pub fn restart() {
 }
 
 /// The next byte; at the end of a session PendSV has to see that first.
-#[cfg(all(feature = "usb", not(feature = "sensor")))]
+#[cfg(feature = "usb")]
 #[inline]
 fn next_byte() -> Option<u8> {
     // In this order: a byte that is there before the session is looked at is taken rightly, even where
@@ -194,10 +189,10 @@ fn next_byte() -> Option<u8> {
 
 /// PendSV's own: packets, words, events, windows.
 pub struct Receiving {
-    #[cfg(not(feature = "sensor"))]
-    source: Link,
+    #[cfg(any(feature = "usb", not(feature = "sensor")))]
+    link: Link,
     #[cfg(feature = "sensor")]
-    source: Option<SensorSource<'static>>,
+    sensor: Option<SensorSource<'static>>,
     ingest: Ingest<'static>,
 }
 
@@ -206,10 +201,10 @@ impl Receiving {
     #[must_use]
     pub const fn new() -> Self {
         Self {
-            #[cfg(not(feature = "sensor"))]
-            source: Link::new(),
+            #[cfg(any(feature = "usb", not(feature = "sensor")))]
+            link: Link::new(),
             #[cfg(feature = "sensor")]
-            source: None,
+            sensor: None,
             ingest: Ingest::new(),
         }
     }
@@ -233,12 +228,18 @@ impl Receiving {
 
     #[cfg(feature = "sensor")]
     fn poll(&mut self) {
-        if self.source.is_none() {
-            self.source = sensor::start();
+        if self.sensor.is_none() {
+            self.sensor = sensor::start();
         }
-        if let Some(source) = &mut self.source {
-            self.ingest.poll(source, &mut Queues);
-        }
+        let Some(sensor) = &mut self.sensor else {
+            return;
+        };
+        // On USB a host may set up how the sensor's events are encoded.
+        #[cfg(feature = "usb")]
+        let sensor = &mut sensor.with_host(self.link.source(next_byte));
+        self.ingest.poll(sensor, &mut Queues);
+        #[cfg(feature = "usb")]
+        self.count();
     }
 
     /// Leaves out what is left of a session that is over.
@@ -246,23 +247,25 @@ impl Receiving {
     fn restart(&mut self) {
         if RESTARTED.swap(false, Ordering::Acquire) {
             let bytes = BYTES.skip_to(SESSION_BEGIN.load(Ordering::Relaxed));
-            #[cfg(not(feature = "sensor"))]
-            self.source.restart(bytes);
-            #[cfg(feature = "sensor")]
-            let _ = bytes;
+            self.link.restart(bytes);
         }
     }
 
     #[cfg(not(feature = "sensor"))]
     fn poll(&mut self) {
-        let mut source = self.source.source(next_byte);
+        let mut source = self.link.source(next_byte);
         self.ingest.poll(&mut source, &mut Queues);
-        DAMAGED_BYTES.store(self.source.damaged_bytes(), Ordering::Relaxed);
-        IGNORED.store(self.source.ignored(), Ordering::Relaxed);
+        self.count();
         #[cfg(not(feature = "usb"))]
         if BYTES.len() < RING_BYTES / 2 {
             board::resume_receiving();
         }
+    }
+
+    #[cfg(any(feature = "usb", not(feature = "sensor")))]
+    fn count(&self) {
+        DAMAGED_BYTES.store(self.link.damaged_bytes(), Ordering::Relaxed);
+        IGNORED.store(self.link.ignored(), Ordering::Relaxed);
     }
 }
 

@@ -15,6 +15,7 @@
 pub mod clock;
 pub mod cmd;
 pub mod device;
+pub mod encoder;
 pub mod forward;
 pub mod link;
 pub mod live;

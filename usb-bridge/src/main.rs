@@ -20,6 +20,7 @@ enum Command {
     Capture(cmd::capture::Capture),
     Forward(cmd::forward::Forward),
     Receive(cmd::receive::Receive),
+    Mcu(cmd::mcu::Mcu),
     Simulate(cmd::simulate::Simulate),
 }
 
@@ -30,6 +31,7 @@ fn main() -> ExitCode {
         Command::Capture(command) => command.run(),
         Command::Forward(command) => command.run(),
         Command::Receive(command) => command.run(),
+        Command::Mcu(command) => command.run(),
         Command::Simulate(command) => command.run(),
     };
     end("eecvs-usb", result)

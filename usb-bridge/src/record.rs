@@ -11,8 +11,10 @@ use eecvs_nostd::Event;
 use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
 use host_harness::formats::{self, EventReader, Pause};
 
+use crate::device::mcu::messages::{FRAME_BYTES_MAX, Message, Messages};
 use crate::link::Loss;
 use crate::link::raw_file::{Header, RawWriter};
+use crate::pump::Chunk;
 use crate::queue::Taken;
 use crate::session::Session;
 
@@ -50,7 +52,7 @@ pub fn kind_of(path: &Path) -> Result<Kind> {
 /// The link, the file.
 pub fn stream(session: &Session, path: &Path) -> Result<()> {
     let name = path.display();
-    let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
+    let out = create(path)?;
     let started = Instant::now();
     let since_1970 = SystemTime::now()
         .duration_since(UNIX_EPOCH)
@@ -58,7 +60,6 @@ pub fn stream(session: &Session, path: &Path) -> Result<()> {
     let started_ns = u64::try_from(since_1970.as_nanos()).unwrap_or(u64::MAX);
     let header = Header::new(session.model.name(), &session.info, started_ns);
     let failed = |error: io::Error| anyhow!("{name}: cannot be written: {error}");
-    let out = BufWriter::with_capacity(1 << 16, file);
     let mut writer = RawWriter::new(out, &header).map_err(failed)?;
     // What the bytes hold is only counted.
     let (mut follower, mut events) = (session.follower(), Vec::new());
@@ -134,9 +135,7 @@ pub fn frames(
     limits: Limits,
     path: &Path,
 ) -> Result<EncodeSummary> {
-    let name = path.display();
-    let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
-    let mut out = BufWriter::with_capacity(1 << 16, file);
+    let mut out = create(path)?;
     let encoded = encode(
         reader,
         codec,
@@ -145,10 +144,81 @@ pub fn frames(
         &mut out,
         &mut |_| {},
     );
+    let flushed = flush(&mut out, path);
+    let summary = encoded.with_context(|| path.display().to_string())?;
+    flushed.map(|()| summary)
+}
+
+/// Writes the frames of an encoder as they are, each with one `write_all`, until the stream ends or fails.
+///
+/// # Errors
+/// The link, the output.
+pub fn encoders_frames(session: &Session, out: &mut dyn Write) -> Result<()> {
+    let (mut messages, mut follower) = (Messages::default(), session.follower());
+    // What the frames hold is only counted.
+    let mut events = Vec::new();
+    let written = loop {
+        let chunk = match session.pumped.queue.take(Duration::from_millis(50)) {
+            Taken::Item(chunk) => chunk,
+            Taken::Nothing => {
+                follower.tell();
+                continue;
+            }
+            Taken::Closed => break Ok(()),
+        };
+        follower.count(&chunk, &mut events);
+        let written = kept(&mut messages, &chunk, out);
+        session.pumped.reuse(chunk.bytes);
+        if let Err(error) = written {
+            break Err(anyhow!("frames cannot be written: {error}"));
+        }
+    };
+    follower.tell();
+    written?;
+    session
+        .pumped
+        .failure()
+        .map_or(Ok(()), |failure| Err(failure.into()))
+}
+
+/// Writes the frames that are whole with a chunk.
+fn kept(messages: &mut Messages, chunk: &Chunk, out: &mut dyn Write) -> io::Result<()> {
+    let mut write = |messages: &mut Messages| {
+        while let Some(message) = messages.next() {
+            if let Message::Frame { bytes, .. } = message {
+                out.write_all(bytes)?;
+            }
+        }
+        Ok::<_, io::Error>(())
+    };
+    while chunk.after_loss && messages.has_begun() {
+        messages.give_up();
+        write(messages)?;
+    }
+    for piece in chunk.bytes.chunks(FRAME_BYTES_MAX) {
+        messages.push(piece);
+        write(messages)?;
+    }
+    Ok(())
+}
+
+/// A file to write.
+///
+/// # Errors
+/// It cannot be created; the message names it.
+pub fn create(path: &Path) -> Result<BufWriter<File>> {
+    let file = File::create(path);
+    let file = file.with_context(|| format!("{}: cannot be created", path.display()))?;
+    Ok(BufWriter::with_capacity(1 << 16, file))
+}
+
+/// Writes what is buffered.
+///
+/// # Errors
+/// It cannot be written; the message names the file.
+pub fn flush(out: &mut dyn Write, path: &Path) -> Result<()> {
     let flushed = out.flush();
-    let summary = encoded.with_context(|| name.to_string())?;
-    flushed.with_context(|| format!("{name}: cannot be written"))?;
-    Ok(summary)
+    flushed.with_context(|| format!("{}: cannot be written", path.display()))
 }
 
 /// Refuses an output that is there already, unless it may be written anew.

@@ -17,7 +17,7 @@ use crate::link::replay::{Pace as ReplayPace, ReplayLink};
 use crate::link::serial::SerialLink;
 use crate::link::trace::{Place, Tracer};
 use crate::link::usb::{Attached, Bus, wait_for};
-use crate::link::{Link, LinkError, Received};
+use crate::link::{Link, LinkError, Outlet, Received};
 use crate::peripheral::stream::{Pace, Recording, Sent};
 use crate::session::Source;
 use crate::stop::Stop;
@@ -279,6 +279,10 @@ impl<L: Link> Link for Ending<L> {
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         self.inner.send(bytes)
+    }
+
+    fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
+        self.inner.outlet()
     }
 }
 

@@ -180,6 +180,33 @@ fn every_model_that_the_scene_fits_gives_it_back() {
     }
 }
 
+/// The frames of an encoder: as they are where it is set up, and what its events are either way.
+#[test]
+fn an_encoder_is_set_up_or_left_as_it_runs() {
+    let folder = Folder::new();
+    let device = "sim:eecvs:scene.raw";
+    let capture = ["capture", "--device", device, "--rate", "max", "--json"];
+    for (name, more) in [
+        ("a.eecvs", &[][..]),
+        ("b.aedat4", &[]),
+        ("c.eecvs", &["--set-up", "128x128"]),
+        ("d.raw", &["--set-up", "128x128"]),
+    ] {
+        let said = folder.json(&[&capture[..], &["-o", name], more].concat());
+        assert_eq!(said["events"], EVENTS, "{name}: {said}");
+        assert_eq!(said["losses"], serde_json::json!({}), "{name}");
+        let is_encoded = said.get("encoding").is_some();
+        assert_eq!(is_encoded, name == "a.eecvs", "{name}");
+        // Its clock is the recording's.
+        assert_eq!(read(&folder.path(name)), sorted(events()), "{name}");
+    }
+    let to = format!("file:{}", folder.path("e.eecvs").display());
+    let forward = ["forward", "--device", device, "--rate", "max", "--json"];
+    folder.json(&[&forward[..], &["--set-up", "128x128", "--to", &to]].concat());
+    let kept = |name: &str| std::fs::read(folder.path(name)).unwrap();
+    assert_eq!(kept("e.eecvs"), kept("c.eecvs"));
+}
+
 #[test]
 fn ctrl_c_and_limits_leave_a_whole_file() {
     let folder = Folder::new();
@@ -309,6 +336,23 @@ fn what_cannot_be_is_one_line_and_exit_status_1() {
         &["capture", "-o", "a.raw", "--device", "serial:/dev/none"],
         "/dev/none",
     );
+    let encoder = "sim:eecvs:scene.raw";
+    let set_up = ["capture", "-o", "a.eecvs", "--device"];
+    refused(
+        &[&set_up[..], &[CAMERA, "--set-up", "128x128"]].concat(),
+        "simulated dvs128: is a DVS128 and no encoder",
+    );
+    refused(
+        &[&set_up[..], &[encoder, "--set-up", "128x64"]].concat(),
+        "refuses the setup for 128 x 64 pixels: a side of the sensor",
+    );
+    let dense = ["--set-up", "128x128", "--coder", "dense"];
+    refused(
+        &[&set_up[..], &[encoder], &dense].concat(),
+        "it has no such mode",
+    );
+    refused(&["mcu", "--device", encoder], "takes events");
+    refused(&["mcu", "--device", "serial:/dev/none"], "/dev/none");
     let port = free_port();
     let nobody = format!("tcp://127.0.0.1:{port}");
     refused(&["forward", "--device", CAMERA, "--to", &nobody], &nobody);
@@ -323,6 +367,10 @@ fn what_cannot_be_is_one_line_and_exit_status_1() {
         Some(2)
     );
     assert_eq!(usage(&["forward", "--to", "http://a:1"]), Some(2));
+    for size in ["128", "0x4", "4096x4"] {
+        let arguments = [&set_up[..], &[encoder, "--set-up", size]].concat();
+        assert_eq!(usage(&arguments), Some(2), "{size}");
+    }
     assert!(!folder.path("a.npz").exists());
 }
 

@@ -2,7 +2,6 @@
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use proptest::prelude::*;
@@ -12,6 +11,7 @@ use usb_bridge::peripheral::sequence::{self, Check, SequenceDevice};
 use usb_bridge::peripheral::server::{Service, serve_usbip};
 use usb_bridge::peripheral::socket::{OUTPUT_MAX, Session as _};
 use usb_bridge::peripheral::usbip::{BUS_ID, DATA_MAX, UsbIp};
+use usb_bridge::stop::Stop;
 
 /// Header of a packet: command, number, direction, endpoint, flags or number, length, request.
 fn packet(command: u32, number: u32, is_in: bool, endpoint: u32, more: [u32; 2]) -> Vec<u8> {
@@ -155,7 +155,7 @@ fn operate(
 fn one_host_has_the_device_and_others_are_told() {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let address = listener.local_addr().expect("an address");
-    let stop = AtomicBool::new(false);
+    let stop = Stop::default();
     let mut reports = Vec::new();
     std::thread::scope(|scope| {
         scope.spawn(|| {
@@ -196,7 +196,7 @@ fn one_host_has_the_device_and_others_are_told() {
         let mut other = TcpStream::connect(address).expect("a listener");
         other.write_all(b"GET / HTTP/1.1\r\n\r\n").expect("taken");
         assert_eq!(other.read(&mut [0; 8]).unwrap_or(0), 0);
-        stop.store(true, Ordering::Relaxed);
+        stop.ask();
     });
     let bytes: Vec<_> = reports
         .iter()

@@ -9,7 +9,7 @@ use crate::config::{ConfigError, HotError};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refusal {
-    /// A side that is not 1 to 2048.
+    /// A side that is not 1 to 2048, or another size than that of the encoder's own sensor.
     Sensor,
     /// tau_low above tau_high.
     Thresholds,

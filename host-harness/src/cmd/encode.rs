@@ -313,6 +313,19 @@ impl CodecOptions {
 }
 
 impl CodecOptions {
+    /// Configuration of an encoder on a microcontroller.
+    ///
+    /// # Errors
+    /// As [`CodecOptions::config`]; what its image cannot do.
+    pub fn config_of_image(&self, sensor: Sensor) -> Result<Config> {
+        let config = self.config(sensor)?;
+        ensure!(
+            !config.keep_order,
+            "--keep-order is for eecvs encode: the image has no memory for it"
+        );
+        Ok(config)
+    }
+
     /// The reader, and the configuration with the readout that its first events show, where it is
     /// looked for.
     #[must_use]

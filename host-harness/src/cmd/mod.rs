@@ -11,6 +11,7 @@ pub mod emulate;
 pub mod encode;
 pub mod info;
 pub mod inspect;
+pub mod job;
 pub mod mcu;
 pub mod monitor;
 pub mod options;

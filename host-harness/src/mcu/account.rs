@@ -85,6 +85,7 @@ impl Account {
     fn frame(&mut self, header: &Header, bytes: &[u8]) {
         let outcome = &mut self.outcome;
         outcome.frames += 1;
+        outcome.bytes.extend_from_slice(bytes);
         outcome.windows += u64::from(header.part == 0 && header.window_events > 0);
         outcome.events_encoded += u64::from(header.events);
         outcome.events_late += u64::from(header.late);

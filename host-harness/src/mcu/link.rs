@@ -62,6 +62,12 @@ impl Demultiplexer {
         !self.buffer.is_empty()
     }
 
+    /// What came and was not taken, for another reader.
+    #[must_use]
+    pub fn take_rest(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.buffer)
+    }
+
     /// Gives up the message that has begun: others may lie inside of what came of it.
     pub fn give_up(&mut self) {
         if self.is_incomplete() {

@@ -81,6 +81,8 @@ pub struct Outcome {
     pub events_lost: u64,
     /// The encoder's own account since its setup.
     pub status: Status,
+    /// The frames that came back, one after the other.
+    pub bytes: Vec<u8>,
     /// What is wrong, a line each; empty for a good run.
     pub problems: Vec<String>,
 }

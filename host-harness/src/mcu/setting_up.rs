@@ -131,7 +131,9 @@ fn ask(connection: &mut Connection, kind: Kind, body: &[u8]) -> Result<Status> {
 
 const fn reason(refusal: Refusal) -> &'static str {
     match refusal {
-        Refusal::Sensor => "a side of the sensor is out of its range",
+        Refusal::Sensor => {
+            "a side of the sensor is out of its range, or its own sensor has another size"
+        }
         Refusal::Thresholds => "the thresholds are in the wrong order",
         Refusal::Transform => "it has no such transform",
         Refusal::Step => "the step is out of its range",

@@ -28,7 +28,7 @@ pub struct Capture {
     output: PathBuf,
 
     /// Encode into frames while capturing; .eecvs implies it
-    #[arg(long)]
+    #[arg(long, conflicts_with = "set_up")]
     encode: bool,
 
     /// Write over a file that is there
@@ -73,7 +73,7 @@ impl Capture {
         );
         record::refuse_existing(&self.output, self.overwrite)?;
         let stop = Stop::on_signals()?;
-        let source = self.device.open(&stop)?;
+        let source = self.device.open(&self.codec, &stop)?;
         let session = Session::start(
             source,
             self.stream.queue_bytes(),
@@ -110,6 +110,12 @@ impl Capture {
         match kind {
             Kind::Stream => record::stream(session, &self.output).map(|()| None),
             Kind::Events => record::events(&mut session.reader(), &self.output).map(|_| None),
+            Kind::Frames if self.device.sets_up() => {
+                let mut out = record::create(&self.output)?;
+                let kept = record::encoders_frames(session, &mut out);
+                let flushed = record::flush(&mut out, &self.output);
+                kept.and(flushed).map(|()| None)
+            }
             Kind::Frames => {
                 let reader: Box<dyn EventReader> = Box::new(session.reader());
                 let config = self.codec.config(reader.sensor())?;

@@ -18,6 +18,7 @@ use crate::forward::consumer::Report as ConsumerReport;
 use crate::forward::fan_out::FanOut;
 use crate::forward::packetise::Packetiser;
 use crate::queue::Taken;
+use crate::record;
 use crate::session::{Report, Session};
 use crate::stop::Stop;
 
@@ -82,7 +83,7 @@ impl Forward {
     pub fn run(self) -> Result<()> {
         let stop = Stop::on_signals()?;
         let fan_out = FanOut::start(&self.to, usize::from(self.consumer_queue_mib) << 20)?;
-        let source = self.device.open(&stop)?;
+        let source = self.device.open(&self.codec, &stop)?;
         let session = Session::start(
             source,
             self.stream.queue_bytes(),
@@ -92,6 +93,9 @@ impl Forward {
         let mut fan_out = fan_out;
         let (encoding, outcome) = match self.what {
             What::Raw => (None, raw(&session, &fan_out)),
+            What::Frames if self.device.sets_up() => {
+                (None, record::encoders_frames(&session, &mut fan_out))
+            }
             What::Frames => match self.frames(&session, &mut fan_out) {
                 Ok(summary) => (Some(summary), Ok(())),
                 Err(error) => (None, Err(error)),

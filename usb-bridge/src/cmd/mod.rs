@@ -3,6 +3,7 @@
 pub mod capture;
 pub mod forward;
 pub mod list;
+pub mod mcu;
 pub mod options;
 pub mod receive;
 pub mod simulate;

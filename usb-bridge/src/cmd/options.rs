@@ -5,16 +5,19 @@ use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
+use eecvs_nostd::Sensor;
+use host_harness::cmd::encode::CodecOptions;
 use host_harness::cmd::output::rows;
 
+use crate::encoder::{self, Encoder, Wish};
 use crate::peripheral::stream::Pace;
 use crate::session::{Limits, Report, Source};
 use crate::source;
 use crate::stop::Stop;
 
-/// Which device.
+/// Where a device is.
 #[derive(Debug, Clone, Args)]
-pub struct DeviceOptions {
+pub struct PlaceOptions {
     /// Device: usb:BUS-PORT, a serial number or a model, as `list` shows them; serial:PATH for an MCU's
     /// serial port; replay:FILE.stream; sim:MODEL:FILE for a simulated camera that plays a recording
     /// [default: the only one that is attached]
@@ -24,11 +27,6 @@ pub struct DeviceOptions {
     /// Wait until the device is attached
     #[arg(long)]
     wait: bool,
-
-    /// Pace of sim: and replay:, when events are due: real (as recorded), max (as fast as they are
-    /// taken), N per second, or Fx (F times as fast as recorded)
-    #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
-    rate: Pace,
 
     /// Take a transfer on USB that nothing has ended back after this time, as far as it was filled, in
     /// milliseconds; 0: never [default: the model's, 100; 0 at QEMU's xHCI, which loses bytes by it]
@@ -40,22 +38,66 @@ pub struct DeviceOptions {
     trace: Option<PathBuf>,
 }
 
-impl DeviceOptions {
-    /// Opens it, and asks it what it is.
+impl PlaceOptions {
+    /// Its name, where one is given.
+    #[must_use]
+    pub const fn name(&self) -> Option<&source::Name> {
+        self.device.as_ref()
+    }
+
+    /// Opens the device `name`, and asks it what it is.
     ///
     /// # Errors
     /// There is none, or it cannot be used: the message says what to do.
-    pub fn open(&self, stop: &Stop) -> Result<Source> {
-        source::open(
-            self.device.as_ref(),
-            &source::Options {
-                wait: self.wait,
-                rate: self.rate,
-                trace: self.trace.clone(),
-                hand_over: self.hand_over_ms.map(|ms| Duration::from_millis(ms.into())),
-            },
-            stop,
-        )
+    pub fn open(&self, name: Option<&source::Name>, rate: Pace, stop: &Stop) -> Result<Source> {
+        let options = source::Options {
+            wait: self.wait,
+            rate,
+            trace: self.trace.clone(),
+            hand_over: self.hand_over_ms.map(|ms| Duration::from_millis(ms.into())),
+        };
+        source::open(name, &options, stop)
+    }
+}
+
+/// Which device's stream.
+#[derive(Debug, Clone, Args)]
+pub struct DeviceOptions {
+    #[command(flatten)]
+    place: PlaceOptions,
+
+    /// Pace of sim: and replay:, when events are due: real (as recorded), max (as fast as they are
+    /// taken), N per second, or Fx (F times as fast as recorded)
+    #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
+    rate: Pace,
+
+    /// Set the encoder (device eecvs), whose sensor has this size, up first, with the options below; its
+    /// frames are then kept as they are. Without it, an encoder is left as it runs
+    #[arg(long, value_name = "WxH", value_parser = encoder::size)]
+    set_up: Option<Sensor>,
+}
+
+impl DeviceOptions {
+    /// Opens it, asks it what it is, and sets it up as `codec` says where that is asked for.
+    ///
+    /// # Errors
+    /// There is none, or it cannot be used, or refuses the setup: the message says what to do.
+    pub fn open(&self, codec: &CodecOptions, stop: &Stop) -> Result<Source> {
+        let wish = match self.set_up {
+            Some(sensor) => Some((codec.config_of_image(sensor)?, codec.hot_pixels(sensor)?)),
+            None => None,
+        };
+        let source = self.place.open(self.place.name(), self.rate, stop)?;
+        match wish {
+            Some((config, hot)) => Encoder::begin(source)?.set_up(&Wish { config, hot: &hot }),
+            None => Ok(source),
+        }
+    }
+
+    /// Whether the device itself encodes as it is told: its frames are kept as they are.
+    #[must_use]
+    pub const fn sets_up(&self) -> bool {
+        self.set_up.is_some()
     }
 }
 

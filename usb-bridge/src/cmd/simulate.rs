@@ -2,7 +2,6 @@
 
 use std::net::TcpListener;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -20,6 +19,7 @@ use crate::peripheral::Peripheral;
 use crate::peripheral::server::{Service, serve_usbip};
 use crate::peripheral::socket::Report;
 use crate::peripheral::stream::{Pace, Recording, Sent};
+use crate::stop::Stop;
 
 /// Bytes that are taken from the stream at once, where nobody is connected to it.
 const ROOM: usize = 1 << 16;
@@ -98,10 +98,7 @@ impl Simulate {
     pub fn run(self) -> Result<()> {
         let model = find(self.model).context("no such model")?;
         let sensor = formats::open(&self.file, self.size.sensor())?.sensor();
-        let stop = Arc::new(AtomicBool::new(false));
-        let flag = Arc::clone(&stop);
-        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
-            .context("Ctrl-C cannot be handled")?;
+        let stop = Stop::on_signals()?;
         let source = Source {
             command: &self,
             model,
@@ -126,12 +123,12 @@ impl Simulate {
     }
 
     /// Takes the stream, as a camera without a host would.
-    fn drain(&self, source: &Source<'_>, stop: &AtomicBool) -> Result<Arc<Sent>> {
+    fn drain(&self, source: &Source<'_>, stop: &Stop) -> Result<Arc<Sent>> {
         let mut recording = source.recording()?;
         let sent = recording.sent();
         let progress = Progress::new("events");
         let mut bytes = Vec::with_capacity(ROOM);
-        while !stop.load(Ordering::Relaxed) {
+        while !stop.is_asked() {
             bytes.clear();
             if recording.take(ROOM, &mut bytes)? == Due::Ended && bytes.len() < ROOM {
                 break;
@@ -185,11 +182,7 @@ impl Source<'_> {
         eprintln!("{name} with {file} at {address}; Ctrl-C ends");
     }
 
-    fn serve(
-        &self,
-        stop: &AtomicBool,
-        serve: impl FnOnce(&mut Service<'_>) -> Result<()>,
-    ) -> Result<()> {
+    fn serve(&self, stop: &Stop, serve: impl FnOnce(&mut Service<'_>) -> Result<()>) -> Result<()> {
         // What does not fit the model is said before any host comes.
         drop(self.device()?);
         let mut failed = None;

@@ -6,12 +6,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use super::control::{Control, Request};
-use super::{Link, LinkError, Loss, Received, until};
+use super::{Link, LinkError, Loss, Outlet, Received, until};
 use crate::device::Transfers;
 use crate::peripheral::{Bulk, Peripheral, Reply};
 
 /// A reader that takes no bytes in this time has stopped.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Bytes of a transfer to a simulated device.
+const TRANSFER: usize = 4096;
 
 /// How often a device that has nothing is asked again.
 const POLL: Duration = Duration::from_micros(200);
@@ -312,18 +315,52 @@ impl Link for PeripheralLink {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        let endpoint = self.endpoint & 0x7F;
-        let taken = self
-            .attachment
-            .ask(|device| device.bulk_out(endpoint, bytes))?;
-        if taken {
-            Ok(())
-        } else {
-            Err(LinkError::Stalled {
-                link: self.attachment.name.clone(),
-                endpoint,
-            })
+        self.outlet()?.send(bytes)
+    }
+
+    fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
+        Ok(Box::new(PeripheralOutlet {
+            attachment: self.attachment.clone(),
+            endpoint: self.endpoint & 0x7F,
+        }))
+    }
+}
+
+/// The way to an [`Attachment`]: the endpoint with the number of its stream's.
+struct PeripheralOutlet {
+    attachment: Attachment,
+    endpoint: u8,
+}
+
+impl Outlet for PeripheralOutlet {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        let endpoint = self.endpoint;
+        for piece in bytes.chunks(TRANSFER) {
+            let deadline = until(PATIENCE);
+            let taken = loop {
+                let taken = self.attachment.ask(|device| {
+                    let is_ready = device.is_ready(endpoint);
+                    is_ready.then(|| device.bulk_out(endpoint, piece))
+                })?;
+                if let Some(taken) = taken {
+                    break taken;
+                }
+                if Instant::now() >= deadline {
+                    return Err(LinkError::Failed {
+                        link: self.attachment.name.clone(),
+                        cause: format!("takes no bytes since {} s", PATIENCE.as_secs()),
+                    });
+                }
+                thread::sleep(POLL);
+            };
+            if !taken {
+                return Err(LinkError::Stalled {
+                    link: self.attachment.name.clone(),
+                    endpoint,
+                });
+            }
         }
+        Ok(())
     }
 }
 

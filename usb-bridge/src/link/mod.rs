@@ -127,6 +127,26 @@ pub trait Link: Send {
     /// # Errors
     /// The link failed.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
+
+    /// The way to the device by itself, for a thread that sends while another one receives.
+    ///
+    /// # Errors
+    /// There is none: a file, or a device that only sends.
+    fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
+        Err(LinkError::Failed {
+            link: self.name().to_owned(),
+            cause: "takes no bytes".to_owned(),
+        })
+    }
+}
+
+/// The way to a device.
+pub trait Outlet: Send {
+    /// Sends all of `bytes`, however slowly the device takes them.
+    ///
+    /// # Errors
+    /// The link failed, or the device has taken nothing for seconds.
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 }
 
 /// Receives until nothing comes for `quiet`, which is longer than the device's own timeout of transfers,

@@ -1,11 +1,11 @@
 //! A serial port: the encoder's MCU as a CDC-ACM device, or a UART behind an adapter.
 
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::time::{Duration, Instant};
 
-use serialport::{ErrorKind, SerialPort};
+use serialport::{ErrorKind, FlowControl, SerialPort};
 
-use super::{Link, LinkError, Received};
+use super::{Link, LinkError, Outlet, Received};
 
 /// Baud rate where nothing else is asked for; a CDC-ACM device takes any and goes as fast as USB does.
 pub const BAUD: u32 = 115_200;
@@ -16,7 +16,7 @@ const BUFFER: usize = 64 * 1024;
 /// A port that does not take bytes in this time does not take them at all.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// A serial port, eight bits without parity or flow control.
+/// A serial port, eight bits without parity; with flow control once it has an [`Outlet`].
 pub struct SerialLink {
     port: Box<dyn SerialPort>,
     name: String,
@@ -110,16 +110,45 @@ impl Link for SerialLink {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        let set = self.port.set_timeout(PATIENCE);
-        set.map_err(|error| self.failed(&error.into()))?;
-        self.port
-            .write_all(bytes)
-            .map_err(|error| self.failed(&error))
+        send(self.port.as_mut(), &self.name, bytes)
     }
+
+    /// A UART is held by RTS and CTS while it is busy; a CDC-ACM device has neither and needs none.
+    fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
+        let port = self.port.try_clone().and_then(|mut port| {
+            port.set_flow_control(FlowControl::Hardware)?;
+            Ok(port)
+        });
+        Ok(Box::new(SerialOutlet {
+            port: port.map_err(|error| self.failed(&error.into()))?,
+            name: self.name.clone(),
+        }))
+    }
+}
+
+/// The way to the device at a serial port.
+struct SerialOutlet {
+    port: Box<dyn SerialPort>,
+    name: String,
+}
+
+impl Outlet for SerialOutlet {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        send(self.port.as_mut(), &self.name, bytes)
+    }
+}
+
+fn send(port: &mut dyn SerialPort, name: &str, bytes: &[u8]) -> Result<(), LinkError> {
+    port.set_timeout(PATIENCE)
+        .map_err(io::Error::from)
+        .and_then(|()| port.write_all(bytes))
+        .map_err(|error| failed(name, &error))
 }
 
 #[cfg(all(test, unix))]
 mod tests {
+    use std::io::Write;
+
     use super::*;
 
     fn pair() -> (SerialLink, serialport::TTYPort) {

@@ -16,7 +16,7 @@ use pcap_file::pcapng::blocks::interface_description::{
 use pcap_file::{DataLink, PcapError};
 
 use super::control::{Control, Request};
-use super::{Link, LinkError, Loss, Received};
+use super::{Link, LinkError, Loss, Outlet, Received};
 
 const HEADER: usize = 64;
 const CONTROL: u8 = 2;
@@ -129,6 +129,21 @@ impl Tracer {
             Some(error) => Err(error),
             None => shared.writer.get_mut().flush().map_err(PcapError::IoError),
         }
+    }
+
+    /// Bytes for the device, while `send` sends them.
+    fn sending(
+        &self,
+        bytes: &[u8],
+        send: impl FnOnce() -> Result<(), LinkError>,
+    ) -> Result<(), LinkError> {
+        let asked = Instant::now();
+        let sent = send();
+        let status = if sent.is_ok() { 0 } else { ESHUTDOWN };
+        let endpoint = self.place.endpoint & 0x7F;
+        let times = (asked, Instant::now());
+        self.transfer((BULK, endpoint), times, None, (bytes.len(), status), bytes);
+        sent
     }
 
     /// A transfer from its submission at `asked` to its end at `ended`.
@@ -258,14 +273,26 @@ impl<L: Link> Link for Trace<L> {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        let asked = Instant::now();
-        let sent = self.inner.send(bytes);
-        let status = if sent.is_ok() { 0 } else { ESHUTDOWN };
-        let endpoint = self.tracer.place.endpoint & 0x7F;
-        let times = (asked, Instant::now());
-        self.tracer
-            .transfer((BULK, endpoint), times, None, (bytes.len(), status), bytes);
-        sent
+        self.tracer.sending(bytes, || self.inner.send(bytes))
+    }
+
+    fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
+        Ok(Box::new(TraceOutlet {
+            inner: self.inner.outlet()?,
+            tracer: self.tracer.clone(),
+        }))
+    }
+}
+
+/// The way to a device, traced.
+struct TraceOutlet {
+    inner: Box<dyn Outlet>,
+    tracer: Tracer,
+}
+
+impl Outlet for TraceOutlet {
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.tracer.sending(bytes, || self.inner.send(bytes))
     }
 }
 

@@ -323,6 +323,10 @@ impl<A: Application> Peripheral for ClassBus<'_, A> {
         reply
     }
 
+    fn is_ready(&self, endpoint: u8) -> bool {
+        self.held_bytes(endpoint) == 0
+    }
+
     fn bulk_out(&mut self, endpoint: u8, data: &[u8]) -> bool {
         let Some(number) = Self::number(endpoint).filter(|_| endpoint & 0x80 == 0) else {
             return false;

@@ -88,6 +88,11 @@ pub trait Peripheral: Send {
     /// it may answer with.
     fn control(&mut self, request: Request, data: &[u8], length: usize) -> Reply;
 
+    /// Whether a bulk endpoint takes bytes now; where not, the host is held (NAK).
+    fn is_ready(&self, _endpoint: u8) -> bool {
+        true
+    }
+
     /// Bytes for one of its bulk endpoints; `false` where that is halted.
     fn bulk_out(&mut self, endpoint: u8, data: &[u8]) -> bool;
 

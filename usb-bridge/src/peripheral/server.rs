@@ -2,7 +2,6 @@
 
 use std::io::ErrorKind;
 use std::net::{TcpListener, TcpStream};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::ScopedJoinHandle;
 use std::time::Duration;
 
@@ -11,6 +10,7 @@ use anyhow::{Context, Result};
 use super::Peripheral;
 use super::socket::{self, Change, Report};
 use super::usbip::{self, Operation, UsbIp};
+use crate::stop::Stop;
 
 /// Between two looks for a host.
 pub(super) const LOOK: Duration = Duration::from_millis(20);
@@ -20,7 +20,7 @@ pub struct Service<'s> {
     /// Makes the device anew for every host.
     pub device: &'s mut dyn FnMut() -> Result<Box<dyn Peripheral>>,
     /// Ends everything.
-    pub stop: &'s AtomicBool,
+    pub stop: &'s Stop,
     /// Ends after the first host that had the device.
     pub once: bool,
     /// A host has left, or was sent away with an error.
@@ -35,7 +35,7 @@ pub struct Service<'s> {
 pub fn serve_usbip(listener: &TcpListener, service: &mut Service<'_>) -> Result<()> {
     listener.set_nonblocking(true).context("socket")?;
     let stop = service.stop;
-    let stopped = || stop.load(Ordering::Relaxed);
+    let stopped = || stop.is_asked();
     let mut device = Some((service.device)()?);
     let descriptors = device
         .as_ref()
@@ -83,10 +83,10 @@ pub fn serve_usbip(listener: &TcpListener, service: &mut Service<'_>) -> Result<
 }
 
 /// Carries an imported device until its host leaves.
-fn carry(mut socket: TcpStream, device: Box<dyn Peripheral>, stop: &AtomicBool) -> Result<Report> {
+fn carry(mut socket: TcpStream, device: Box<dyn Peripheral>, stop: &Stop) -> Result<Report> {
     let mut session = UsbIp::new(device);
     socket::serve(&mut socket, &mut session, &mut || {
-        stop.load(Ordering::Relaxed).then_some(Change::End)
+        stop.is_asked().then_some(Change::End)
     })
 }
 

@@ -4,7 +4,6 @@ use std::io::ErrorKind;
 use std::os::unix::fs::FileTypeExt as _;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
 
@@ -48,7 +47,7 @@ impl UnixServer {
     /// As for [`super::server::serve_usbip`].
     pub fn serve_usbredir(&self, service: &mut Service<'_>) -> Result<()> {
         let stop = service.stop;
-        let stopped = || stop.load(Ordering::Relaxed);
+        let stopped = || stop.is_asked();
         while !stopped() {
             let mut socket = match self.listener.accept() {
                 Ok((socket, _)) => socket,

@@ -3,8 +3,12 @@
 //!
 //! Most tests run twice: once as the device, and once more in a process that sees its USB.
 
+#[path = "../usb_class/application.rs"]
+#[allow(dead_code, reason = "shared with the tests on the bus in memory")]
+mod application;
 mod attached;
 mod counter;
+mod encoder;
 mod faults;
 mod models;
 #[path = "../../guest/recordings.rs"]

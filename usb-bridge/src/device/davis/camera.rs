@@ -4,14 +4,14 @@ use eecvs_nostd::Sensor;
 
 use super::Davis;
 use crate::device::Stream;
-use crate::device::inivation::camera::LogicCamera;
-use crate::device::inivation::descriptors::Endpoint;
+use crate::device::inivation::camera::{LogicCamera, messages};
 use crate::device::inivation::registers::{
     ADC_CLOCK, CHIP, CLOCK_DEVIATION, DEBUG_ENDPOINT, DVS_COLUMNS, DVS_ORIENTATION, DVS_ROWS,
     DVS_RUN, ENDPOINT, LOGIC_CLOCK, LOGIC_KNOWN, LOGIC_PATCH, LOGIC_VERSION, MUX_CHIP_RUN, MUX_RUN,
     MUX_TIME_RUN, RegisterFile, USB_CLOCK, USB_RUN, VENDOR,
 };
 use crate::peripheral::Speed;
+use crate::peripheral::descriptors::Endpoint;
 
 /// A camera of this model with a sensor of this size, just plugged in.
 pub(super) fn camera(davis: &Davis, sensor: Sensor, stream: Box<dyn Stream>) -> LogicCamera {
@@ -28,10 +28,7 @@ pub(super) fn camera(davis: &Davis, sensor: Sensor, stream: Box<dyn Stream>) -> 
         (USB_CLOCK, if is_super { 80 } else { 30 }),
         (CLOCK_DEVIATION, 1000),
     ]);
-    let endpoints = [
-        Endpoint::bulk(ENDPOINT),
-        Endpoint::interrupt(DEBUG_ENDPOINT),
-    ];
+    let endpoints = [Endpoint::bulk(ENDPOINT), messages(DEBUG_ENDPOINT)];
     LogicCamera::new(
         davis.speed,
         (

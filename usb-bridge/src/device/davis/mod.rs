@@ -17,11 +17,11 @@ use eecvs_nostd::Sensor;
 use self::parse::DavisParser;
 use self::write::DavisWriter;
 use super::inivation::registers::{
-    APS_RUN, CHIP, DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN,
-    IMU_TEMPERATURE_RUN, INPUT_RUN, MUX_CHIP_RUN, MUX_DROP_EVENTS, MUX_DROP_INPUTS, MUX_RUN,
-    MUX_TIME_RUN, Register, USB_RUN, VENDOR, clear_all, read, write, write_all,
+    APS_RUN, DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN, IMU_TEMPERATURE_RUN,
+    INPUT_RUN, MUX_CHIP_RUN, MUX_DROP_EVENTS, MUX_DROP_INPUTS, MUX_RUN, MUX_TIME_RUN, Register,
+    USB_RUN, VENDOR, clear_all, write, write_all,
 };
-use super::inivation::system::{Versions, check_versions, sensor};
+use super::inivation::system::{Versions, found};
 use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
 use crate::link::control::Control;
 use crate::peripheral::{Peripheral, Speed};
@@ -100,9 +100,6 @@ const RUNS: [Register; 10] = [
 const STREAM: &str = "davis";
 const STREAM_INVERTED: &str = "davis-transposed";
 
-/// Time in which the logic's buffers run empty.
-const EMPTY: Duration = Duration::from_millis(10);
-
 /// Time in which the sensor's biases settle.
 const SETTLE: Duration = Duration::from_millis(200);
 
@@ -139,20 +136,13 @@ impl Model for Davis {
     }
 
     fn identify(&self, control: &mut dyn Control) -> Result<Info> {
-        let firmware = check_versions(&self.versions, control)?;
-        let (sensor, inverted) = sensor(control)?;
-        let chip = read(control, CHIP)?;
-        // It may run since another program crashed.
-        clear_all(control, &RUNS)?;
-        control.wait(EMPTY);
-        control.clear_halt(ENDPOINT).with_context(|| {
-            format!("{}: endpoint {ENDPOINT:#04x} cannot be cleared", self.name)
-        })?;
+        let found = found(self.name, &self.versions, &RUNS, control)?;
+        let inverted = found.inverted;
         Ok(Info {
-            name: biases::chip_name(chip).map_or_else(|| self.label.into(), String::from),
+            name: biases::chip_name(found.chip).map_or_else(|| self.label.into(), String::from),
             serial: control.serial(),
-            firmware,
-            sensor,
+            firmware: found.firmware,
+            sensor: found.sensor,
             stream: if inverted { STREAM_INVERTED } else { STREAM },
         })
     }

@@ -4,9 +4,9 @@ use super::{
     BIAS_BYTES, BIASES, ENDPOINT, MASTER, PRODUCT, RESET_PIXELS, RESET_TIME, START, STOP, VENDOR,
 };
 use crate::device::Stream;
-use crate::device::inivation::camera::Source;
-use crate::device::inivation::descriptors::{Endpoint, descriptors};
+use crate::device::inivation::camera::{Source, descriptors};
 use crate::link::control::Request;
+use crate::peripheral::descriptors::Endpoint;
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
 
 /// Firmware that it says it has.

@@ -6,14 +6,14 @@ use super::{
     CHIP_FULL, CHIP_LITE, MODE_STREAM, PRODUCT, SENSOR_LITE, SENSOR_MODE, VERSIONS, label,
 };
 use crate::device::Stream;
-use crate::device::inivation::camera::LogicCamera;
-use crate::device::inivation::descriptors::Endpoint;
+use crate::device::inivation::camera::{LogicCamera, messages};
 use crate::device::inivation::registers::{
     CHIP, CLOCK_DEVIATION, DEBUG_ENDPOINT, DVS_COLUMNS, DVS_ORIENTATION, DVS_ROWS, DVS_RUN,
     ENDPOINT, LOGIC_CLOCK, LOGIC_KNOWN, LOGIC_PATCH, LOGIC_VERSION, MUX_CHIP_RUN, MUX_RUN,
     MUX_TIME_RUN, RegisterFile, USB_CLOCK, USB_RUN, VENDOR,
 };
 use crate::peripheral::Speed;
+use crate::peripheral::descriptors::Endpoint;
 
 /// A camera with a sensor of this size, just plugged in.
 pub(super) fn camera(sensor: Sensor, stream: Box<dyn Stream>) -> LogicCamera {
@@ -52,10 +52,7 @@ pub(in crate::device) fn of_release(
             u16::from(major) << 8 | (VERSIONS.firmware_min + 1),
         ),
         label(chip),
-        &[
-            Endpoint::bulk(ENDPOINT),
-            Endpoint::interrupt(DEBUG_ENDPOINT),
-        ],
+        &[Endpoint::bulk(ENDPOINT), messages(DEBUG_ENDPOINT)],
         registers,
         runs,
         stream,

@@ -19,11 +19,11 @@ use self::parse::DvxplorerParser;
 use self::sensor_registers::SENSOR_REGISTERS;
 use self::write::DvxplorerWriter;
 use super::inivation::registers::{
-    CHIP, DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN, IMU_TEMPERATURE_RUN,
-    INPUT_RUN, MUX_CHIP_RUN, MUX_DROP_EVENTS, MUX_DROP_INPUTS, MUX_RUN, MUX_TIME_RUN, Register,
-    USB_RUN, VENDOR, clear_all, read, write, write_all,
+    DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN, IMU_TEMPERATURE_RUN, INPUT_RUN,
+    MUX_CHIP_RUN, MUX_DROP_EVENTS, MUX_DROP_INPUTS, MUX_RUN, MUX_TIME_RUN, Register, USB_RUN,
+    VENDOR, clear_all, write, write_all,
 };
-use super::inivation::system::{Versions, check_versions, sensor};
+use super::inivation::system::{Versions, found};
 use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
 use crate::link::control::Control;
 use crate::peripheral::Peripheral;
@@ -84,7 +84,7 @@ const RUNS: [Register; 10] = [
 const STREAM: &str = "dvxplorer";
 const STREAM_INVERTED: &str = "dvxplorer-transposed";
 
-/// Time in which the logic's buffers run empty, or the sensor wakes.
+/// Time in which the sensor wakes.
 const SHORT: Duration = Duration::from_millis(10);
 
 /// Time in which the way to the host becomes ready.
@@ -131,20 +131,13 @@ impl Model for Dvxplorer {
     }
 
     fn identify(&self, control: &mut dyn Control) -> Result<Info> {
-        let firmware = check_versions(&VERSIONS, control)?;
-        let (sensor, inverted) = sensor(control)?;
-        let chip = read(control, CHIP)?;
-        // It may run since another program crashed.
-        clear_all(control, &RUNS)?;
-        control.wait(SHORT);
-        control
-            .clear_halt(ENDPOINT)
-            .with_context(|| format!("{NAME}: endpoint {ENDPOINT:#04x} cannot be cleared"))?;
+        let found = found(NAME, &VERSIONS, &RUNS, control)?;
+        let inverted = found.inverted;
         Ok(Info {
-            name: label(chip).into(),
+            name: label(found.chip).into(),
             serial: control.serial(),
-            firmware,
-            sensor,
+            firmware: found.firmware,
+            sensor: found.sensor,
             stream: if inverted { STREAM_INVERTED } else { STREAM },
         })
     }

@@ -18,10 +18,10 @@ use super::dvxplorer::{
     MODE_STREAM, PRODUCT, SENSOR_MODE, SENSOR_TIME_RESET, VERSIONS, fits, label,
 };
 use super::inivation::registers::{
-    CHIP, DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN, IMU_TEMPERATURE_RUN,
-    Register, VENDOR, clear_all, read, write_all,
+    DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN, IMU_TEMPERATURE_RUN, Register,
+    VENDOR, clear_all, write_all,
 };
-use super::inivation::system::{check_versions, sensor};
+use super::inivation::system::found;
 use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
 use crate::link::control::Control;
 use crate::peripheral::Peripheral;
@@ -46,9 +46,6 @@ const RUNS: [Register; 5] = [
 
 /// Restart of the sensor's counter of time.
 const SENSOR_RESTART: Register = (5, 0x3201);
-
-/// Time in which the buffers run empty.
-const EMPTY: Duration = Duration::from_millis(10);
 
 impl Model for DvxplorerMipi {
     fn name(&self) -> &'static str {
@@ -78,20 +75,12 @@ impl Model for DvxplorerMipi {
     }
 
     fn identify(&self, control: &mut dyn Control) -> Result<Info> {
-        let firmware = check_versions(&VERSIONS, control)?;
-        let (sensor, _) = sensor(control)?;
-        let chip = read(control, CHIP)?;
-        // It may run since another program crashed.
-        clear_all(control, &RUNS)?;
-        control.wait(EMPTY);
-        control
-            .clear_halt(ENDPOINT)
-            .with_context(|| format!("{NAME}: endpoint {ENDPOINT:#04x} cannot be cleared"))?;
+        let found = found(NAME, &VERSIONS, &RUNS, control)?;
         Ok(Info {
-            name: format!("{} MIPI", label(chip)),
+            name: format!("{} MIPI", label(found.chip)),
             serial: control.serial(),
-            firmware,
-            sensor,
+            firmware: found.firmware,
+            sensor: found.sensor,
             stream: NAME,
         })
     }

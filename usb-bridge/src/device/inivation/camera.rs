@@ -1,9 +1,9 @@
 //! Cameras that are simulated: a source of bytes behind an endpoint, and registers before it.
 
-use super::descriptors::{Endpoint, descriptors};
 use super::registers::RegisterFile;
 use crate::device::{Due, Stream};
 use crate::link::control::Request;
+use crate::peripheral::descriptors::{Device, Endpoint, Interface};
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
 
 /// Bytes of a stream behind an endpoint.
@@ -49,6 +49,33 @@ impl Source {
     pub fn clear_halt(&mut self) {
         self.halted = false;
     }
+}
+
+/// Descriptors of a camera with one interface of the vendor's class: `ids` are vendor, product and
+/// release, `names` maker, product and serial number.
+pub fn descriptors(
+    speed: Speed,
+    ids: (u16, u16, u16),
+    names: [&str; 3],
+    endpoints: &[Endpoint],
+) -> Descriptors {
+    let (vendor, product, release) = ids;
+    Device {
+        speed,
+        vendor,
+        product,
+        release,
+        class: [0xFF, 0, 0],
+        names,
+        interfaces: &[Interface::vendor(0, endpoints)],
+        ..Device::default()
+    }
+    .describe()
+}
+
+/// The endpoint of the firmware's own messages, each 125 us at the most.
+pub const fn messages(address: u8) -> Endpoint {
+    Endpoint::interrupt(address, 64, 1)
 }
 
 /// A camera whose logic has registers.

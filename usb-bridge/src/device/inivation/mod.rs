@@ -1,4 +1,4 @@
-//! What the cameras of iniVation share: words, time that wraps, alignment, registers, descriptors.
+//! What the cameras of iniVation share: words, time that wraps, alignment, registers.
 //!
 //! Their streams are words of 16 or 32 bits, little-endian, without frames or checks. So a parser
 //! can only judge a word by its place:
@@ -12,7 +12,6 @@
 
 pub(super) mod camera;
 pub mod clock;
-pub(super) mod descriptors;
 pub(super) mod groups;
 pub(super) mod masks;
 pub mod parser;

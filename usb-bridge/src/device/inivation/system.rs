@@ -1,10 +1,13 @@
 //! What the cameras' registers tell of themselves.
 
+use std::time::Duration;
+
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::Sensor;
 
 use super::registers::{
-    DVS_COLUMNS, DVS_ORIENTATION, DVS_ROWS, LOGIC_KNOWN, LOGIC_PATCH, LOGIC_VERSION, read,
+    CHIP, DVS_COLUMNS, DVS_ORIENTATION, DVS_ROWS, ENDPOINT, LOGIC_KNOWN, LOGIC_PATCH,
+    LOGIC_VERSION, Register, clear_all, read,
 };
 use crate::link::control::Control;
 
@@ -24,7 +27,7 @@ const EXCHANGED: u32 = 1 << 2;
 ///
 /// # Errors
 /// They are too old, or the logic is another one.
-pub fn check_versions(known: &Versions, control: &mut dyn Control) -> Result<String> {
+fn check_versions(known: &Versions, control: &mut dyn Control) -> Result<String> {
     let firmware = control.release() & 0xFF;
     let logic = read(control, LOGIC_VERSION)?;
     let patch = read(control, LOGIC_PATCH)?;
@@ -39,11 +42,54 @@ pub fn check_versions(known: &Versions, control: &mut dyn Control) -> Result<Str
     Ok(format!("firmware {firmware}, logic {logic}.{patch}"))
 }
 
+/// What a camera whose logic has registers says of itself.
+#[derive(Debug)]
+pub struct Found {
+    /// Versions, for people.
+    pub firmware: String,
+    /// Size of the sensor.
+    pub sensor: Sensor,
+    /// Whether the logic calls its columns rows.
+    pub inverted: bool,
+    /// Number of the chip.
+    pub chip: u32,
+}
+
+/// Time in which the logic's buffers run empty.
+const EMPTY: Duration = Duration::from_millis(10);
+
+/// Asks a camera what it is, and leaves it silent: it may run since another program crashed. `runs` is what
+/// sends, in the order in which it is stopped.
+///
+/// # Errors
+/// The camera does not answer, or is one whose stream is not known.
+pub fn found(
+    name: &str,
+    known: &Versions,
+    runs: &[Register],
+    control: &mut dyn Control,
+) -> Result<Found> {
+    let firmware = check_versions(known, control)?;
+    let (sensor, inverted) = sensor(control)?;
+    let chip = read(control, CHIP)?;
+    clear_all(control, runs)?;
+    control.wait(EMPTY);
+    control
+        .clear_halt(ENDPOINT)
+        .with_context(|| format!("{name}: endpoint {ENDPOINT:#04x} cannot be cleared"))?;
+    Ok(Found {
+        firmware,
+        sensor,
+        inverted,
+        chip,
+    })
+}
+
 /// Size of the sensor as its events have it, and whether the logic calls its columns rows.
 ///
 /// # Errors
 /// The camera has no such sensor.
-pub fn sensor(control: &mut dyn Control) -> Result<(Sensor, bool)> {
+fn sensor(control: &mut dyn Control) -> Result<(Sensor, bool)> {
     let columns = read(control, DVS_COLUMNS)?;
     let rows = read(control, DVS_ROWS)?;
     let inverted = read(control, DVS_ORIENTATION)? & EXCHANGED != 0;

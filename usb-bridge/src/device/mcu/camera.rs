@@ -1,15 +1,33 @@
-//! A simulated encoder with a sensor on a port of its own: what a host sends it, it takes and leaves.
+//! A simulated encoder with a sensor on a port of its own. Setups for what it does anyway it takes, others
+//! it refuses; between a host's restart and setup it is silent, so that no event is lost.
 
-use super::{COUNTS, COUNTS_BYTES, COUNTS_LAYOUT, FROM_HOST, IDENTITY, TO_HOST};
+use std::collections::VecDeque;
+
+use eecvs_nostd::Sensor;
+use eecvs_nostd::event_link::{
+    FIELDS_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Receiver, Refusal, Setup, Status,
+};
+
+use super::write;
+use super::{COUNTS, COUNTS_BYTES, COUNTS_LAYOUT, FROM_HOST, IDENTITY, RESTART, TO_HOST};
 use crate::device::{Due, Stream};
 use crate::link::control::Request;
 use crate::peripheral::descriptors::{Device, Endpoint, Interface};
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
 
+/// Bytes of answers that wait at the most; further ones are left out.
+const ANSWERS_MAX: usize = 1 << 14;
+
 /// A simulated encoder.
 pub struct McuCamera {
     descriptors: Descriptors,
     stream: Box<dyn Stream>,
+    sensor: Sensor,
+    receiver: Receiver,
+    /// Answers that wait for the host.
+    answers: VecDeque<u8>,
+    /// A host has restarted it, and not set it up since.
+    is_silent: bool,
     has_ended: bool,
     is_halted: bool,
     sessions: u32,
@@ -18,9 +36,9 @@ pub struct McuCamera {
 }
 
 impl McuCamera {
-    /// An encoder that sends `stream`.
+    /// An encoder that sends `stream`, of a sensor of this size.
     #[must_use]
-    pub fn new(stream: Box<dyn Stream>) -> Self {
+    pub fn new(sensor: Sensor, stream: Box<dyn Stream>) -> Self {
         let endpoints = [Endpoint::bulk(TO_HOST), Endpoint::bulk(FROM_HOST)];
         let descriptors = Device {
             speed: Speed::Full,
@@ -35,11 +53,57 @@ impl McuCamera {
         Self {
             descriptors,
             stream,
+            sensor,
+            receiver: Receiver::new(),
+            answers: VecDeque::new(),
+            is_silent: false,
             has_ended: false,
             is_halted: false,
             sessions: 1,
             bytes_sent: 0,
             bytes_received: 0,
+        }
+    }
+
+    /// Takes a packet of the event link; only setups are answered.
+    fn take(&mut self, kind: Kind, body: &[u8]) {
+        let Some(setup) = Setup::parse(body).filter(|_| kind == Kind::Setup) else {
+            return;
+        };
+        let own = write::config(self.sensor);
+        let refusal = match setup.config() {
+            Err(refusal) => Some(refusal),
+            Ok(asked) if asked.window.sensor != own.window.sensor => Some(Refusal::Sensor),
+            Ok(asked) if asked.window != own.window => Some(Refusal::Windows),
+            // What is asked of coefficients does not matter here.
+            Ok(asked) if asked.mode != own.mode || asked.bytes_per_second.is_some() => {
+                Some(Refusal::Mode)
+            }
+            Ok(asked) if asked.filter != own.filter => Some(Refusal::Mode),
+            Ok(_) => None,
+        };
+        self.is_silent = refusal.is_some();
+        let status = Status {
+            answers: kind as u8,
+            running: refusal.is_none(),
+            refusal,
+            window_events: write::WINDOW_EVENTS as u32,
+            frame_bytes: write::FRAME_BYTES as u32,
+            ..Status::default()
+        };
+        let (mut body, mut packet) = ([0; FIELDS_BYTES_MAX], [0; PACKET_BYTES_MAX]);
+        let Ok(length) = status.write(&mut body) else {
+            return;
+        };
+        let status = Packet {
+            kind: Kind::Status,
+            position: 0,
+            body: &body[..length],
+        };
+        if let Ok(length) = status.write(&mut packet)
+            && self.answers.len() < ANSWERS_MAX
+        {
+            self.answers.extend(&packet[..length]);
         }
     }
 }
@@ -50,8 +114,15 @@ impl Peripheral for McuCamera {
     }
 
     fn control(&mut self, request: Request, _: &[u8], length: usize) -> Reply {
-        if request.kind != Request::VENDOR_IN || request.request != COUNTS {
-            return Reply::Stall;
+        match (request.kind, request.request) {
+            (Request::VENDOR_IN, COUNTS) => {}
+            (Request::VENDOR_OUT, RESTART) => {
+                self.sessions = self.sessions.wrapping_add(1);
+                self.answers.clear();
+                self.is_silent = true;
+                return Reply::Data(Vec::new());
+            }
+            _ => return Reply::Stall,
         }
         let mut counts = [0; COUNTS_BYTES];
         counts[0] = COUNTS_LAYOUT;
@@ -66,18 +137,33 @@ impl Peripheral for McuCamera {
     }
 
     fn bulk_out(&mut self, endpoint: u8, data: &[u8]) -> bool {
+        if endpoint != FROM_HOST {
+            return false;
+        }
         self.bytes_received = self.bytes_received.wrapping_add(data.len() as u32);
-        endpoint == FROM_HOST
+        for byte in data {
+            let packet = self.receiver.push(*byte);
+            if let Some((kind, body)) = packet.map(|packet| (packet.kind, packet.body.to_vec())) {
+                self.take(kind, &body);
+            }
+        }
+        true
     }
 
     fn bulk_in(&mut self, endpoint: u8, room: usize, data: &mut Vec<u8>) -> Bulk {
         if endpoint != TO_HOST || self.is_halted {
             return Bulk::Stall;
         }
-        if self.has_ended {
+        let before = data.len();
+        if !self.answers.is_empty() {
+            let length = self.answers.len().min(room);
+            data.extend(self.answers.drain(..length));
+            self.bytes_sent = self.bytes_sent.wrapping_add(length as u32);
+            return Bulk::Data;
+        }
+        if self.has_ended || self.is_silent {
             return Bulk::Wait;
         }
-        let before = data.len();
         match self.stream.take(room, data) {
             Ok(Due::More) => {}
             Ok(Due::Ended) => self.has_ended = true,
@@ -98,5 +184,8 @@ impl Peripheral for McuCamera {
 
     fn reset(&mut self) {
         self.sessions = self.sessions.wrapping_add(1);
+        self.receiver.restart();
+        self.answers.clear();
+        self.is_silent = false;
     }
 }

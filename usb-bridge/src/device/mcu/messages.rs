@@ -14,8 +14,15 @@ const RESCANS: u64 = 4;
 /// What stands in received bytes.
 #[derive(Debug, Clone, Copy)]
 pub enum Message<'m> {
-    /// A frame, and its CRC-32.
-    Frame(Frame<'m>, [u8; CRC_BYTES]),
+    /// A frame.
+    Frame {
+        /// What it says.
+        frame: Frame<'m>,
+        /// Its CRC-32.
+        crc: [u8; CRC_BYTES],
+        /// All of its bytes.
+        bytes: &'m [u8],
+    },
     /// A packet.
     Packet(Kind),
 }
@@ -75,7 +82,8 @@ impl Messages {
                         payload: &self.buffer[crc_at - payload..crc_at],
                         bytes: length,
                     };
-                    return Some(Message::Frame(frame, crc));
+                    let bytes = &self.buffer[self.start - length..self.start];
+                    return Some(Message::Frame { frame, crc, bytes });
                 }
                 Look::Packet(kind, length) => {
                     self.advance(length);

@@ -9,7 +9,7 @@
 //!
 //! docs/wire-format.md has the bytes. What comes may be stored as it is: without the packets between them
 //! the frames are an `.eecvs` file, and its reader passes over the packets. The encoder sends whenever somebody reads:
-//! there is nothing to start.
+//! there is nothing to start. [`crate::encoder`] sets it up where that is asked for.
 
 pub mod camera;
 pub mod messages;
@@ -45,6 +45,12 @@ pub const COUNTS_BYTES: usize = 40;
 /// Number of their layout.
 pub const COUNTS_LAYOUT: u8 = 1;
 
+/// Vendor's request that begins a session.
+pub const RESTART: u8 = 0x02;
+
+/// Name of the model.
+pub const NAME: &str = "eecvs";
+
 /// Name of its stream.
 const STREAM: &str = "frames";
 
@@ -63,7 +69,7 @@ pub static MCU: Mcu = Mcu;
 
 impl Model for Mcu {
     fn name(&self) -> &'static str {
-        "eecvs"
+        NAME
     }
 
     fn identities(&self) -> &'static [Identity] {
@@ -127,7 +133,7 @@ impl Model for Mcu {
         Some(Box::new(McuStream::new(sensor)))
     }
 
-    fn camera(&self, _: Sensor, stream: Box<dyn Stream>) -> Option<Box<dyn Peripheral>> {
-        Some(Box::new(McuCamera::new(stream)))
+    fn camera(&self, sensor: Sensor, stream: Box<dyn Stream>) -> Option<Box<dyn Peripheral>> {
+        Some(Box::new(McuCamera::new(sensor, stream)))
     }
 }

@@ -67,7 +67,7 @@ impl McuParser {
     fn take(&mut self, events: &mut Vec<Event>) {
         while let Some(message) = self.messages.next() {
             let (frame, crc) = match message {
-                Message::Frame(frame, crc) => (frame, crc),
+                Message::Frame { frame, crc, .. } => (frame, crc),
                 Message::Packet(Kind::Status) => {
                     self.statuses += 1;
                     continue;

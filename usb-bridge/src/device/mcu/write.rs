@@ -8,8 +8,8 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::{
-    Config, Encoder, Event, Filter, Hybrid, KEY_WINDOWS, Mode, Push, Quantiser, Sensor, Thresholds,
-    WindowConfig,
+    Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Push, Quantiser,
+    Sensor, Thresholds, WindowConfig,
 };
 use host_harness::encode::HostStorage;
 
@@ -19,9 +19,9 @@ const ZERO: Thresholds = Thresholds::new(0, 0).unwrap();
 /// T.
 const WINDOW_US: u32 = 32_768;
 /// Events of a window: as many as a microcontroller's memory holds.
-const WINDOW_EVENTS: usize = 4096;
+pub(super) const WINDOW_EVENTS: usize = 4096;
 /// Room for a frame.
-const FRAME_BYTES: usize = 1 << 14;
+pub(super) const FRAME_BYTES: usize = 1 << 14;
 /// Events may be out of order by so much.
 const ORDER_US: u64 = 20_000;
 
@@ -111,8 +111,9 @@ impl Drop for McuStream {
     }
 }
 
-fn run(sensor: Sensor, work: &Receiver<Work>, done: &SyncSender<Answer>) {
-    let config = Config {
+/// How the frames are encoded.
+pub(super) const fn config(sensor: Sensor) -> Config {
+    Config {
         window: WindowConfig {
             sensor,
             window_us: WINDOW_US,
@@ -122,15 +123,21 @@ fn run(sensor: Sensor, work: &Receiver<Work>, done: &SyncSender<Answer>) {
         m: 16,
         grid: None,
         quantiser: Quantiser::DEFAULT,
-        mode: Mode::Hybrid(Hybrid::default()),
+        mode: Mode::Hybrid(Hybrid {
+            coder: Coder::Fast,
+            fidelity: Fidelity::Lossless,
+        }),
         key_windows: KEY_WINDOWS,
         readout: None,
         filter: Filter::NONE,
         bytes_per_second: None,
         keep_order: false,
-    };
+    }
+}
+
+fn run(sensor: Sensor, work: &Receiver<Work>, done: &SyncSender<Answer>) {
     let mut storage = HostStorage::new(sensor, WINDOW_EVENTS);
-    let mut encoder = storage.encoder(config);
+    let mut encoder = storage.encoder(config(sensor));
     let mut frame = vec![0; FRAME_BYTES];
     for work in work {
         let answer = match &mut encoder {

@@ -13,6 +13,7 @@ mod choose;
 mod control;
 mod device;
 mod errors;
+mod outlet;
 mod ring;
 mod stream;
 mod watch;

@@ -4,12 +4,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::device::Opened;
+use super::outlet::UsbOutlet;
 use super::ring::{Completion, Ring, Status};
 use crate::device::Transfers;
-use crate::link::{Link, LinkError, Loss, Received, until};
-
-/// A device that does not take bytes in this time does not take them at all.
-const PATIENCE: Duration = Duration::from_secs(5);
+use crate::link::{Link, LinkError, Loss, Outlet, Received, until};
 
 /// Transfers that are taken back come back in this time, or the host controller is stuck.
 const BACK: Duration = Duration::from_secs(5);
@@ -259,22 +257,10 @@ impl Link for UsbLink {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        let Some(endpoint) = self.opened.bulk_out() else {
-            return Err(LinkError::Failed {
-                link: self.opened.name.clone(),
-                cause: "has no endpoint that takes bytes".to_owned(),
-            });
-        };
-        let mut left = bytes;
-        while !left.is_empty() {
-            match self.opened.handle.write_bulk(endpoint, left, PATIENCE) {
-                Ok(0) => {
-                    return Err(self.opened.error("sending", rusb::Error::Timeout));
-                }
-                Ok(sent) => left = &left[sent.min(left.len())..],
-                Err(error) => return Err(self.opened.error("sending", error)),
-            }
-        }
-        Ok(())
+        UsbOutlet::new(&self.opened)?.send(bytes)
+    }
+
+    fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
+        Ok(Box::new(UsbOutlet::new(&self.opened)?))
     }
 }

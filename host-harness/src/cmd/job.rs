@@ -1,0 +1,206 @@
+//! A recording through an encoder: the flags and the report that `eecvs mcu` and `eecvs-usb mcu` share.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use eecvs_nostd::{Config, Event, Sensor};
+
+use super::encode::CodecOptions;
+use super::options::SizeOptions;
+use crate::formats::{self, EventReader, Skipped};
+use crate::mcu::{self, Connection, Job, Outcome};
+use crate::output_file::{OutputFile, refuse_same_file};
+use crate::progress::Progress;
+use crate::scene::{Preset, SceneConfig, emulate};
+
+/// What is encoded unless a recording is given: a few windows of a small sensor, of every regime.
+const SCENE: SceneConfig = SceneConfig {
+    preset: Preset::OutdoorWellLitBlur,
+    sensor: Sensor {
+        width: 128,
+        height: 96,
+    },
+    duration_us: 130_000,
+    start_us: 0,
+    seed: 3,
+};
+
+/// Which recording, and how it is encoded.
+#[derive(Debug, Args)]
+pub struct JobOptions {
+    /// Recording to encode [default: a small seeded scene]
+    #[arg(value_name = "IN")]
+    input: Option<PathBuf>,
+
+    /// Keep the frames that came back in a file
+    #[arg(short, long, value_name = "OUT.eecvs")]
+    output: Option<PathBuf>,
+
+    #[command(flatten)]
+    codec: CodecOptions,
+
+    #[command(flatten)]
+    size: SizeOptions,
+
+    /// Encode the first N events alone
+    #[arg(long, value_name = "N")]
+    events: Option<u64>,
+
+    /// Let the encoder drop and count events while it has no room, rather than hold the link; then
+    /// frames are unpacked and events accounted for, but not compared
+    #[arg(long)]
+    drop_when_full: bool,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The first events of a recording.
+struct First {
+    reader: Box<dyn EventReader>,
+    left: u64,
+}
+
+impl EventReader for First {
+    fn format(&self) -> &'static str {
+        self.reader.format()
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.reader.sensor()
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        if self.left == 0 {
+            return Ok(0);
+        }
+        let before = events.len();
+        let read = self.reader.read(events)? as u64;
+        let taken = read.min(self.left);
+        self.left -= taken;
+        events.truncate(before + taken as usize);
+        Ok(taken as usize)
+    }
+
+    fn skipped(&self) -> &Skipped {
+        self.reader.skipped()
+    }
+}
+
+/// A recording that was looked at.
+pub struct Prepared<'o> {
+    options: &'o JobOptions,
+    config: Config,
+    hot: Vec<(u16, u16)>,
+}
+
+impl JobOptions {
+    /// Looks at the recording, before any encoder is asked for.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, options that no microcontroller's encoder has.
+    pub fn prepare(&self) -> Result<Prepared<'_>> {
+        if let Some((input, output)) = self.input.as_ref().zip(self.output.as_ref()) {
+            refuse_same_file(input, output)?;
+        }
+        let reader = self.open()?;
+        let sensor = reader.sensor();
+        let config = self.codec.config_of_image(sensor)?;
+        let (_, config) = self.codec.look(reader, config);
+        Ok(Prepared {
+            options: self,
+            config,
+            hot: self.codec.hot_pixels(sensor)?,
+        })
+    }
+
+    /// What messages call the recording.
+    #[must_use]
+    pub fn name(&self) -> String {
+        self.input.as_ref().map_or_else(
+            || format!("{}, seed {}", SCENE.preset.name(), SCENE.seed),
+            |input| input.display().to_string(),
+        )
+    }
+
+    fn open(&self) -> Result<Box<dyn EventReader>> {
+        let reader = match &self.input {
+            Some(input) => formats::open(input, self.size.sensor())?,
+            None => Box::new(emulate(SCENE)?),
+        };
+        Ok(match self.events {
+            Some(left) => Box::new(First { reader, left }),
+            None => reader,
+        })
+    }
+}
+
+impl Prepared<'_> {
+    /// Sends the recording to an encoder, takes its frames, and keeps them where that is asked for.
+    ///
+    /// # Errors
+    /// A recording that cannot be read or sent, an encoder that refuses or stalls, a link that fails, a
+    /// file that cannot be written. Frames that differ and events that are lost are not:
+    /// [`Outcome::verdict`].
+    pub fn run(&self, connection: &mut Connection) -> Result<Outcome> {
+        let options = self.options;
+        let open = || options.open();
+        let job = Job {
+            open: &open,
+            config: self.config,
+            hot: &self.hot,
+            drop_when_full: options.drop_when_full,
+        };
+        let progress = Progress::new("events sent");
+        let outcome = mcu::run(connection, &job, &|events| progress.set(events))
+            .with_context(|| options.name())?;
+        if let Some(path) = &options.output {
+            let mut out = OutputFile::create(path)?;
+            out.write_all(&outcome.bytes)?;
+            out.finish()?;
+        }
+        Ok(outcome)
+    }
+}
+
+/// What became of the events, for people.
+#[must_use]
+pub fn account(outcome: &Outcome) -> Vec<(&'static str, String)> {
+    let status = &outcome.status;
+    let compared = |frames: u64| match outcome.compared {
+        true => frames.to_string(),
+        false => "not compared".to_owned(),
+    };
+    vec![
+        ("hot pixels", status.hot_pixels.to_string()),
+        ("events", outcome.events.to_string()),
+        ("  encoded", outcome.events_encoded.to_string()),
+        ("  late", outcome.events_late.to_string()),
+        ("  filtered", outcome.events_filtered.to_string()),
+        (
+            "  left out by the rate control",
+            outcome.events_thinned.to_string(),
+        ),
+        ("  lost", outcome.events_lost.to_string()),
+        ("windows", outcome.windows.to_string()),
+        ("  events at most", status.window_events.to_string()),
+        ("frames", outcome.frames.to_string()),
+        ("  identical", compared(outcome.frames_identical)),
+        ("  different", compared(outcome.frames_different)),
+    ]
+}
+
+/// The time of the encoder's clock for an event, under `title`, for people.
+#[must_use]
+pub fn times(title: &'static str, outcome: &Outcome) -> Vec<(&'static str, String)> {
+    let [receive, encode, send] = outcome.ns_per_event();
+    vec![
+        (title, format!("{:.1}", receive + encode + send)),
+        ("  receive", format!("{receive:.1}")),
+        ("  encode", format!("{encode:.1}")),
+        ("  send", format!("{send:.1}")),
+    ]
+}

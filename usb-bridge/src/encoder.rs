@@ -1,0 +1,244 @@
+//! An encoder on USB or at a serial port that is told what to do: both directions at once, the beginning of
+//! a session, the setup.
+//!
+//! What is said over the link is [`host_harness::mcu`]'s, whatever the link; here is what USB adds.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use eecvs_nostd::event_link::Setup;
+use eecvs_nostd::{Config, Sensor};
+use host_harness::mcu::connection::Halves;
+use host_harness::mcu::{self, Connection};
+
+use crate::device::mcu::{NAME, RESTART};
+use crate::link::control::{Control, Request};
+use crate::link::{Link, LinkError, Outlet, Received};
+use crate::session::Source;
+
+/// Longest wait for what comes.
+const WAIT: Duration = Duration::from_millis(100);
+/// Bytes that are sent between two looks at whether the exchange has ended.
+const PIECE: usize = 4096;
+
+type Shared = Arc<Mutex<Box<dyn Link>>>;
+
+/// An encoder whose session has begun.
+pub struct Encoder {
+    /// All but its link.
+    source: Source,
+    link: Shared,
+}
+
+impl Encoder {
+    /// Begins a session: what an earlier host has left in the encoder is dropped there. A serial port has
+    /// no request for it; its session begins with the setup.
+    ///
+    /// # Errors
+    /// The device is none, or refuses.
+    pub fn begin(mut source: Source) -> Result<Self> {
+        let name = source.link.name().to_owned();
+        ensure!(
+            source.model.name() == NAME,
+            "{name}: is a {} and no encoder that could be set up",
+            source.info.name
+        );
+        if let Some(control) = &mut source.control {
+            restart(control.as_mut()).with_context(|| format!("{name}: the begin of a session"))?;
+        }
+        let link = std::mem::replace(&mut source.link, Box::new(Nowhere));
+        Ok(Self {
+            source,
+            link: Arc::new(Mutex::new(link)),
+        })
+    }
+
+    /// What it says of itself.
+    #[must_use]
+    pub const fn source(&self) -> &Source {
+        &self.source
+    }
+
+    /// Name of its link, for messages.
+    #[must_use]
+    pub fn name(&self) -> String {
+        lock(&self.link).name().to_owned()
+    }
+
+    /// Its link in use.
+    ///
+    /// # Errors
+    /// The link takes no bytes.
+    pub fn connect(&self, patience: Duration) -> Result<Connection> {
+        Connection::new(self, patience)
+    }
+
+    /// Sets it up and gives its stream back, from the first byte after its answer on.
+    ///
+    /// # Errors
+    /// It does not answer, or refuses: the message says why.
+    pub fn set_up(self, wish: &Wish<'_>) -> Result<Source> {
+        let name = self.name();
+        let mut connection = self.connect(mcu::PATIENCE)?;
+        let setup = Setup::new(&wish.config, 0);
+        let sensor = wish.config.window.sensor;
+        mcu::set_up(&mut connection, &setup)
+            .and_then(|_| mcu::keep_out(&mut connection, sensor, wish.hot))
+            .with_context(|| name)?;
+        let rest = connection.incoming().take_rest();
+        drop(connection);
+        let link = Arc::into_inner(self.link).context("the link is in use")?;
+        let inner = link.into_inner().unwrap_or_else(PoisonError::into_inner);
+        Ok(Source {
+            link: Box::new(Begun {
+                inner,
+                rest,
+                at: Some(Instant::now()),
+            }),
+            ..self.source
+        })
+    }
+}
+
+/// What an encoder is to do.
+pub struct Wish<'w> {
+    /// How it encodes.
+    pub config: Config,
+    /// Pixels that it never sends, each once, in raster order: column and row.
+    pub hot: &'w [(u16, u16)],
+}
+
+/// Drops what an encoder has queued and what it has received and not used yet.
+fn restart(control: &mut dyn Control) -> Result<(), LinkError> {
+    control.control_out(Request::vendor_out(RESTART, 0, 0), &[])
+}
+
+fn lock(link: &Shared) -> MutexGuard<'_, Box<dyn Link>> {
+    link.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl mcu::Link for Encoder {
+    fn halves(&self) -> io::Result<Halves> {
+        let outlet = lock(&self.link).outlet().map_err(io::Error::other)?;
+        Ok(Halves {
+            reader: Box::new(Reader {
+                link: Arc::clone(&self.link),
+                rest: Vec::new(),
+                used: 0,
+            }),
+            writer: Box::new(Writer(outlet)),
+        })
+    }
+}
+
+/// From the encoder.
+struct Reader {
+    link: Shared,
+    /// What came with the last transfer, and how much of it is used.
+    rest: Vec<u8>,
+    used: usize,
+}
+
+impl Read for Reader {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        if self.used == self.rest.len() {
+            self.rest.clear();
+            self.used = 0;
+            match lock(&self.link).receive(WAIT).map_err(io::Error::other)? {
+                Received::Bytes { bytes, .. } => self.rest.extend_from_slice(bytes),
+                Received::Ended => return Ok(0),
+                // What a loss took is missed by the numbers of frames and packets.
+                Received::Nothing | Received::Lost { .. } => {
+                    return Err(ErrorKind::WouldBlock.into());
+                }
+            }
+        }
+        let left = self.rest.get(self.used..).unwrap_or(&[]);
+        let len = left.len().min(out.len());
+        out[..len].copy_from_slice(&left[..len]);
+        self.used += len;
+        Ok(len)
+    }
+}
+
+/// To the encoder.
+struct Writer(Box<dyn Outlet>);
+
+impl Write for Writer {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let piece = bytes.get(..PIECE).unwrap_or(bytes);
+        self.0.send(piece).map_err(io::Error::other)?;
+        Ok(piece.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A link of which some was received before it is used.
+struct Begun {
+    inner: Box<dyn Link>,
+    rest: Vec<u8>,
+    /// When the rest came; `None` once it was given.
+    at: Option<Instant>,
+}
+
+impl Link for Begun {
+    fn name(&self) -> &str {
+        self.inner.name()
+    }
+
+    fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError> {
+        match self.at.take() {
+            Some(at) if !self.rest.is_empty() => Ok(Received::Bytes {
+                bytes: &self.rest,
+                at,
+            }),
+            _ => self.inner.receive(timeout),
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.inner.send(bytes)
+    }
+
+    fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
+        self.inner.outlet()
+    }
+}
+
+/// In the place of a link that is in use.
+struct Nowhere;
+
+impl Link for Nowhere {
+    fn name(&self) -> &str {
+        "nowhere"
+    }
+
+    fn receive(&mut self, _: Duration) -> Result<Received<'_>, LinkError> {
+        Ok(Received::Ended)
+    }
+
+    fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
+        Ok(())
+    }
+}
+
+/// A size on the command line: `346x260`.
+///
+/// # Errors
+/// It is none, for people.
+pub fn size(text: &str) -> Result<Sensor, String> {
+    let sides = text.split_once('x');
+    sides
+        .and_then(|(width, height)| Sensor::new(width.parse().ok()?, height.parse().ok()?))
+        .ok_or_else(|| {
+            format!(
+                "not a size such as 320x320, with sides of 1 to {}",
+                Sensor::SIDE_MAX
+            )
+        })
+}
