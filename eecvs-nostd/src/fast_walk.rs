@@ -285,6 +285,9 @@ fn raise(distance: u32, zeros: u8) -> (u32, u32, u8) {
 
 /// Puts a pixel of several events, of which the code is that of the place, the first event, and the second
 /// one's polarity; returns how many follow the first one. Or 0, and leaves the orders as they were.
+///
+/// Runs of one polarity, of which there are most, have a loop for each: its order is in one place then, and
+/// what tells the next event to be of that polarity, a zero, is one more in front of that one's code.
 #[inline(always)]
 fn several<'o>(
     (first, second): (&Slot, &Slot),
@@ -299,29 +302,55 @@ fn several<'o>(
     };
     let before = *orders;
     let mut events = 0;
-    let mut go_on = out.put::<true>(code, bits) != Put::None;
     let (mut cell, mut sign) = (first.offset_us(), first.sign());
     let mut slot = *second;
-    while go_on && let Some(distance) = slot.offset_us().checked_sub(cell) {
-        cell = slot.offset_us();
-        let sign_now = slot.sign();
-        let order = &mut orders[(2 * sign + sign_now) as usize % 4];
-        let (raised, bits, learned) = raise(distance, *order);
-        *order = learned;
-        events += 1;
-        let Some(after) = slots.get(slot.next() as usize) else {
-            if out.put::<false>(raised << 2 | END, bits + 2) == Put::None {
-                break;
-            }
-            return (out, events);
-        };
-        if after.sign() == sign_now {
-            go_on = out.put::<false>(raised << 1, bits + 1) != Put::None;
-        } else {
-            go_on = out.put::<false>(raised << 2 | FLIP, bits + 2) != Put::None;
+    'undone: {
+        if out.put::<true>(code, bits) == Put::None {
+            break 'undone;
         }
-        sign = sign_now;
-        slot = *after;
+        /// Puts the event in `slot`, whose code has so many zeros more in front; what tells of the one
+        /// after it where that is of the other polarity, or there is none.
+        macro_rules! event {
+            ($order:expr, $zeros:literal, $sign:expr) => {{
+                let Some(distance) = slot.offset_us().checked_sub(cell) else {
+                    break 'undone;
+                };
+                cell = slot.offset_us();
+                let order = &mut orders[$order];
+                let (raised, bits, learned) = raise(distance, *order);
+                *order = learned;
+                events += 1;
+                let Some(after) = slots.get(slot.next() as usize) else {
+                    if out.put::<false>(raised << 2 | END, bits + 2 + $zeros) == Put::None {
+                        break 'undone;
+                    }
+                    return (out, events);
+                };
+                slot = *after;
+                let is_same = after.sign() == $sign;
+                let put = if is_same {
+                    out.put::<false>(raised, bits + $zeros)
+                } else {
+                    out.put::<false>(raised << 2 | FLIP, bits + 2 + $zeros)
+                };
+                if put == Put::None {
+                    break 'undone;
+                }
+                is_same
+            }};
+        }
+        loop {
+            let sign_now = slot.sign();
+            let order = (2 * sign + sign_now) as usize % 4;
+            sign = sign_now;
+            if event!(order, 0, sign_now) {
+                if sign_now == 0 {
+                    while event!(0, 1, 0) {}
+                } else {
+                    while event!(3, 1, 1) {}
+                }
+            }
+        }
     }
     *orders = before;
     (out, 0)
