@@ -34,6 +34,17 @@ impl Codes {
         }
     }
 
+    /// Zeros in front of the code of a pixel after a gap of any length, of a single event or of several;
+    /// `None` where the rest of it has over 32 bits.
+    const fn zeros(&self, gap: u32, event_bits: u32) -> Option<u32> {
+        let raised = 2 * gap + (self.base >> (event_bits & 31));
+        // A bit to spare, for a second event's polarity.
+        if raised >= FIRST >> (event_bits & 31) {
+            return None;
+        }
+        Some(self.bits + event_bits - u32::BITS - raised.leading_zeros())
+    }
+
     /// Whether they are for any gap within a segment.
     const fn are_short(&self) -> bool {
         self.gap_max >= SEGMENT_PIXELS as u32
@@ -47,7 +58,8 @@ struct Output<'o> {
     bits: Bits,
 }
 
-/// Bits of the next word, from the top, and how many: up to 31.
+/// Bits of the next word, from the top, and how many: up to 31. In front of a pixel after a long gap also
+/// less than 0, which wraps: so many less of its code's zeros are to be put.
 #[derive(Clone, Copy)]
 struct Bits {
     pending: u32,
@@ -67,10 +79,10 @@ enum Put {
 
 impl Output<'_> {
     /// Puts a code of `bits` bits, which has no others. Nothing is put where there is no room, or where
-    /// it is not `IS_SHORT`, as which it is known to have up to 32 bits, and has more.
+    /// it is not `IS_SHORT`, as which it is known to end in the next word at the latest, and has over 32.
     #[inline(always)]
     fn put<const IS_SHORT: bool>(&mut self, code: u32, bits: u32) -> Put {
-        let end = self.bits.used + bits;
+        let end = self.bits.used.wrapping_add(bits);
         // Where it goes; what the word has no room for is turned round to the top.
         let turned = code.rotate_right(end);
         if end < 32 {
@@ -144,10 +156,23 @@ pub fn walk(
     let mut columns = group.columns;
     // Words to be taken back of a pixel that was not completed.
     let mut back = 0;
+    // What a word that zeros have completed had before them.
+    let mut zeros_after = 0;
     'segments: loop {
         if let Some(rest) = NonZeroU32::new(columns) {
-            if rest.trailing_zeros().wrapping_sub(before) > codes.gap_max {
-                break;
+            let gap = rest.trailing_zeros().wrapping_sub(before);
+            if gap > codes.gap_max {
+                let Some(zeros) = codes.zeros(gap, event_bits) else {
+                    break;
+                };
+                // Where they complete no word, the pixel's code goes out as any other one.
+                if out.bits.used + zeros > 31 {
+                    let Some(word) = out.rest.next() else { break };
+                    *word = out.bits.pending.to_be_bytes();
+                    zeros_after = out.bits.pending;
+                    out.bits.pending = 0;
+                    out.bits.used = out.bits.used.wrapping_sub(32);
+                }
             }
             let slots = window.slots_now();
             let mut left = rest;
@@ -225,6 +250,12 @@ pub fn walk(
                 }
                 entry.head = head;
                 out.bits = bits_before;
+                // Below 0: zeros in front of the pixel have completed a word.
+                if out.bits.used > 31 {
+                    out.bits.pending = zeros_after;
+                    out.bits.used = out.bits.used.wrapping_add(32);
+                    back += 1;
+                }
                 columns = left.get();
                 break 'segments;
             }
