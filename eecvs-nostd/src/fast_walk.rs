@@ -358,7 +358,8 @@ fn several<'o>(
                     return (out, events);
                 };
                 slot = *after;
-                let is_same = after.sign() == $sign;
+                // Its lowest bit alone: it is the only one in use.
+                let is_same = (after.sign() ^ $sign) & 1 == 0;
                 let put = if is_same {
                     out.put::<false>(raised, bits + $zeros)
                 } else {
