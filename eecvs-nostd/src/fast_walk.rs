@@ -2,7 +2,8 @@
 //! and writes the codes of [`crate::coder::fast`] with little more than these at hand.
 //!
 //! It gives back to the loop that has every case, as they were, the pixels that it would have to look
-//! at twice: with events out of order, with a code of over 32 bits, and where the output is full.
+//! at twice: with events out of order, with a code of over 32 bits, the zeros of a long gap aside, and where
+//! the output is full.
 
 use core::mem;
 use core::num::NonZeroU32;
