@@ -2,7 +2,8 @@
 //! and writes the codes of [`crate::coder::fast`] with little more than these at hand.
 //!
 //! It gives back to the loop that has every case, as they were, the pixels that it would have to look
-//! at twice: with events out of order, with a code of over 32 bits, and where the output is full.
+//! at twice: with events out of order, with a code of over 32 bits, the zeros of a long gap aside, and where
+//! the output is full.
 
 use core::mem;
 use core::num::NonZeroU32;
@@ -34,6 +35,17 @@ impl Codes {
         }
     }
 
+    /// Zeros in front of the code of a pixel after a gap of any length, of a single event or of several;
+    /// `None` where the rest of it has over 32 bits.
+    const fn zeros(&self, gap: u32, event_bits: u32) -> Option<u32> {
+        let raised = 2 * gap + (self.base >> (event_bits & 31));
+        // A bit to spare, for a second event's polarity.
+        if raised >= FIRST >> (event_bits & 31) {
+            return None;
+        }
+        Some(self.bits + event_bits - u32::BITS - raised.leading_zeros())
+    }
+
     /// Whether they are for any gap within a segment.
     const fn are_short(&self) -> bool {
         self.gap_max >= SEGMENT_PIXELS as u32
@@ -47,7 +59,8 @@ struct Output<'o> {
     bits: Bits,
 }
 
-/// Bits of the next word, from the top, and how many: up to 31.
+/// Bits of the next word, from the top, and how many: up to 31. In front of a pixel after a long gap also
+/// less than 0, which wraps: so many less of its code's zeros are to be put.
 #[derive(Clone, Copy)]
 struct Bits {
     pending: u32,
@@ -67,10 +80,10 @@ enum Put {
 
 impl Output<'_> {
     /// Puts a code of `bits` bits, which has no others. Nothing is put where there is no room, or where
-    /// it is not `IS_SHORT`, as which it is known to have up to 32 bits, and has more.
+    /// it is not `IS_SHORT`, as which it is known to end in the next word at the latest, and has over 32.
     #[inline(always)]
     fn put<const IS_SHORT: bool>(&mut self, code: u32, bits: u32) -> Put {
-        let end = self.bits.used + bits;
+        let end = self.bits.used.wrapping_add(bits);
         // Where it goes; what the word has no room for is turned round to the top.
         let turned = code.rotate_right(end);
         if end < 32 {
@@ -144,10 +157,23 @@ pub fn walk(
     let mut columns = group.columns;
     // Words to be taken back of a pixel that was not completed.
     let mut back = 0;
+    // What a word that zeros have completed had before them.
+    let mut zeros_after = 0;
     'segments: loop {
         if let Some(rest) = NonZeroU32::new(columns) {
-            if rest.trailing_zeros().wrapping_sub(before) > codes.gap_max {
-                break;
+            let gap = rest.trailing_zeros().wrapping_sub(before);
+            if gap > codes.gap_max {
+                let Some(zeros) = codes.zeros(gap, event_bits) else {
+                    break;
+                };
+                // Where they complete no word, the pixel's code goes out as any other one.
+                if out.bits.used + zeros > 31 {
+                    let Some(word) = out.rest.next() else { break };
+                    *word = out.bits.pending.to_be_bytes();
+                    zeros_after = out.bits.pending;
+                    out.bits.pending = 0;
+                    out.bits.used = out.bits.used.wrapping_sub(32);
+                }
             }
             let slots = window.slots_now();
             let mut left = rest;
@@ -225,6 +251,12 @@ pub fn walk(
                 }
                 entry.head = head;
                 out.bits = bits_before;
+                // Below 0: zeros in front of the pixel have completed a word.
+                if out.bits.used > 31 {
+                    out.bits.pending = zeros_after;
+                    out.bits.used = out.bits.used.wrapping_add(32);
+                    back += 1;
+                }
                 columns = left.get();
                 break 'segments;
             }
@@ -285,6 +317,9 @@ fn raise(distance: u32, zeros: u8) -> (u32, u32, u8) {
 
 /// Puts a pixel of several events, of which the code is that of the place, the first event, and the second
 /// one's polarity; returns how many follow the first one. Or 0, and leaves the orders as they were.
+///
+/// Runs of one polarity, of which there are most, have a loop for each: its order is in one place then, and
+/// what tells the next event to be of that polarity, a zero, is one more in front of that one's code.
 #[inline(always)]
 fn several<'o>(
     (first, second): (&Slot, &Slot),
@@ -299,29 +334,56 @@ fn several<'o>(
     };
     let before = *orders;
     let mut events = 0;
-    let mut go_on = out.put::<true>(code, bits) != Put::None;
     let (mut cell, mut sign) = (first.offset_us(), first.sign());
     let mut slot = *second;
-    while go_on && let Some(distance) = slot.offset_us().checked_sub(cell) {
-        cell = slot.offset_us();
-        let sign_now = slot.sign();
-        let order = &mut orders[(2 * sign + sign_now) as usize % 4];
-        let (raised, bits, learned) = raise(distance, *order);
-        *order = learned;
-        events += 1;
-        let Some(after) = slots.get(slot.next() as usize) else {
-            if out.put::<false>(raised << 2 | END, bits + 2) == Put::None {
-                break;
-            }
-            return (out, events);
-        };
-        if after.sign() == sign_now {
-            go_on = out.put::<false>(raised << 1, bits + 1) != Put::None;
-        } else {
-            go_on = out.put::<false>(raised << 2 | FLIP, bits + 2) != Put::None;
+    'undone: {
+        if out.put::<true>(code, bits) == Put::None {
+            break 'undone;
         }
-        sign = sign_now;
-        slot = *after;
+        /// Puts the event in `slot`, whose code has so many zeros more in front; what tells of the one
+        /// after it where that is of the other polarity, or there is none.
+        macro_rules! event {
+            ($order:expr, $zeros:literal, $sign:expr) => {{
+                let Some(distance) = slot.offset_us().checked_sub(cell) else {
+                    break 'undone;
+                };
+                cell = slot.offset_us();
+                let order = &mut orders[$order];
+                let (raised, bits, learned) = raise(distance, *order);
+                *order = learned;
+                events += 1;
+                let Some(after) = slots.get(slot.next() as usize) else {
+                    if out.put::<false>(raised << 2 | END, bits + 2 + $zeros) == Put::None {
+                        break 'undone;
+                    }
+                    return (out, events);
+                };
+                slot = *after;
+                // Its lowest bit alone: it is the only one in use.
+                let is_same = (after.sign() ^ $sign) & 1 == 0;
+                let put = if is_same {
+                    out.put::<false>(raised, bits + $zeros)
+                } else {
+                    out.put::<false>(raised << 2 | FLIP, bits + 2 + $zeros)
+                };
+                if put == Put::None {
+                    break 'undone;
+                }
+                is_same
+            }};
+        }
+        loop {
+            let sign_now = slot.sign();
+            let order = (2 * sign + sign_now) as usize % 4;
+            sign = sign_now;
+            if event!(order, 0, sign_now) {
+                if sign_now == 0 {
+                    while event!(0, 1, 0) {}
+                } else {
+                    while event!(3, 1, 1) {}
+                }
+            }
+        }
     }
     *orders = before;
     (out, 0)
