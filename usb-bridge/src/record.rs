@@ -61,7 +61,24 @@ pub fn stream(session: &Session, path: &Path) -> Result<()> {
     let header = Header::new(session.model.name(), &session.info, started_ns);
     let failed = |error: io::Error| anyhow!("{name}: cannot be written: {error}");
     let mut writer = RawWriter::new(out, &header).map_err(failed)?;
-    // What the bytes hold is only counted.
+    let written = each_chunk(session, |chunk| {
+        let time = chunk.at.saturating_duration_since(started);
+        if chunk.after_loss {
+            writer.lost(time, None, Loss::Damaged)?;
+        }
+        writer.bytes(time, &chunk.bytes)
+    });
+    let finished = writer.finish().and_then(|mut out| out.flush());
+    written.map_err(failed)?;
+    finished.map_err(failed)?;
+    session.outcome()
+}
+
+/// Hands on what arrives, of which the events are only counted, until the stream ends or that fails.
+fn each_chunk(
+    session: &Session,
+    mut write: impl FnMut(&Chunk) -> io::Result<()>,
+) -> io::Result<()> {
     let (mut follower, mut events) = (session.follower(), Vec::new());
     let written = loop {
         let chunk = match session.pumped.queue.take(Duration::from_millis(50)) {
@@ -73,26 +90,14 @@ pub fn stream(session: &Session, path: &Path) -> Result<()> {
             Taken::Closed => break Ok(()),
         };
         follower.count(&chunk, &mut events);
-        let time = chunk.at.saturating_duration_since(started);
-        let lost = if chunk.after_loss {
-            writer.lost(time, None, Loss::Damaged)
-        } else {
-            Ok(())
-        };
-        let written = lost.and_then(|()| writer.bytes(time, &chunk.bytes));
+        let written = write(&chunk);
         session.pumped.reuse(chunk.bytes);
-        if let Err(error) = written {
-            break Err(failed(error));
+        if written.is_err() {
+            break written;
         }
     };
     follower.tell();
-    let finished = writer.finish().and_then(|mut out| out.flush());
-    written?;
-    finished.map_err(failed)?;
-    session
-        .pumped
-        .failure()
-        .map_or(Ok(()), |failure| Err(failure.into()))
+    written
 }
 
 /// Writes events until the stream ends or fails. What came before a failure is in the file, which is
@@ -154,31 +159,10 @@ pub fn frames(
 /// # Errors
 /// The link, the output.
 pub fn encoders_frames(session: &Session, out: &mut dyn Write) -> Result<()> {
-    let (mut messages, mut follower) = (Messages::default(), session.follower());
-    // What the frames hold is only counted.
-    let mut events = Vec::new();
-    let written = loop {
-        let chunk = match session.pumped.queue.take(Duration::from_millis(50)) {
-            Taken::Item(chunk) => chunk,
-            Taken::Nothing => {
-                follower.tell();
-                continue;
-            }
-            Taken::Closed => break Ok(()),
-        };
-        follower.count(&chunk, &mut events);
-        let written = kept(&mut messages, &chunk, out);
-        session.pumped.reuse(chunk.bytes);
-        if let Err(error) = written {
-            break Err(anyhow!("frames cannot be written: {error}"));
-        }
-    };
-    follower.tell();
-    written?;
-    session
-        .pumped
-        .failure()
-        .map_or(Ok(()), |failure| Err(failure.into()))
+    let mut messages = Messages::default();
+    each_chunk(session, |chunk| kept(&mut messages, chunk, out))
+        .map_err(|error| anyhow!("frames cannot be written: {error}"))?;
+    session.outcome()
 }
 
 /// Writes the frames that are whole with a chunk.

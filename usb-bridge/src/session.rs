@@ -130,6 +130,16 @@ impl Session {
         Arc::clone(&self.progress)
     }
 
+    /// How its link has ended.
+    ///
+    /// # Errors
+    /// The link's failure.
+    pub fn outcome(&self) -> Result<()> {
+        self.pumped
+            .failure()
+            .map_or(Ok(()), |failure| Err(failure.into()))
+    }
+
     /// Stops the device, whose bytes nobody takes any more where there are some yet, and reports. Also
     /// why the device could not be stopped, where that failed: what was received is as good as it was.
     #[must_use]

@@ -175,10 +175,7 @@ fn raw(session: &Session, fan_out: &FanOut) -> Result<()> {
         session.pumped.reuse(chunk.bytes);
     }
     packetiser.tell();
-    session
-        .pumped
-        .failure()
-        .map_or(Ok(()), |failure| Err(failure.into()))
+    session.outcome()
 }
 
 impl Summary {
