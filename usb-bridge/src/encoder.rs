@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use eecvs_nostd::Config;
 use eecvs_nostd::event_link::Setup;
-use eecvs_nostd::{Config, Sensor};
 use host_harness::mcu::connection::Halves;
 use host_harness::mcu::{self, Connection};
 
@@ -225,20 +225,4 @@ impl Link for Nowhere {
     fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
         Ok(())
     }
-}
-
-/// A size on the command line: `346x260`.
-///
-/// # Errors
-/// It is none, for people.
-pub fn size(text: &str) -> Result<Sensor, String> {
-    let sides = text.split_once('x');
-    sides
-        .and_then(|(width, height)| Sensor::new(width.parse().ok()?, height.parse().ok()?))
-        .ok_or_else(|| {
-            format!(
-                "not a size such as 320x320, with sides of 1 to {}",
-                Sensor::SIDE_MAX
-            )
-        })
 }

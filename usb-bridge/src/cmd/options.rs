@@ -9,7 +9,7 @@ use eecvs_nostd::Sensor;
 use host_harness::cmd::encode::CodecOptions;
 use host_harness::cmd::output::rows;
 
-use crate::encoder::{self, Encoder, Wish};
+use crate::encoder::{Encoder, Wish};
 use crate::peripheral::stream::Pace;
 use crate::session::{Limits, Report, Source};
 use crate::source;
@@ -73,7 +73,7 @@ pub struct DeviceOptions {
 
     /// Set the encoder (device eecvs), whose sensor has this size, up first, with the options below; its
     /// frames are then kept as they are. Without it, an encoder is left as it runs
-    #[arg(long, value_name = "WxH", value_parser = encoder::size)]
+    #[arg(long, value_name = "WxH", value_parser = size)]
     set_up: Option<Sensor>,
 }
 
@@ -99,6 +99,19 @@ impl DeviceOptions {
     pub const fn sets_up(&self) -> bool {
         self.set_up.is_some()
     }
+}
+
+/// A sensor's size: `346x260`.
+fn size(text: &str) -> Result<Sensor, String> {
+    let sides = text.split_once('x');
+    sides
+        .and_then(|(width, height)| Sensor::new(width.parse().ok()?, height.parse().ok()?))
+        .ok_or_else(|| {
+            format!(
+                "not a size such as 320x320, with sides of 1 to {}",
+                Sensor::SIDE_MAX
+            )
+        })
 }
 
 /// How long a stream is taken, and what waits.
