@@ -92,7 +92,7 @@ impl Forward {
         )?;
         let mut fan_out = fan_out;
         let (encoding, outcome) = match self.what {
-            What::Raw => (None, raw(&session, &fan_out)),
+            What::Raw => (None, raw(&session, &mut fan_out)),
             What::Frames if self.device.sets_up() => {
                 (None, record::encoders_frames(&session, &mut fan_out))
             }
@@ -156,7 +156,7 @@ impl Forward {
 }
 
 /// The device's words in packets.
-fn raw(session: &Session, fan_out: &FanOut) -> Result<()> {
+fn raw(session: &Session, fan_out: &mut FanOut) -> Result<()> {
     let encoding = format!("{}/{}", session.model.name(), session.info.stream);
     let mut packetiser = Packetiser::new(encoding, session.follower());
     let mut events: Vec<Event> = Vec::new();

@@ -21,7 +21,7 @@ const MESSAGE_BYTES: usize = 64;
 #[derive(Debug, Clone)]
 pub struct Message {
     /// Its bytes.
-    pub bytes: Arc<[u8]>,
+    pub bytes: Arc<Vec<u8>>,
     /// Its events.
     pub events: u64,
 }

@@ -1,5 +1,6 @@
 //! The same messages for every consumer.
 
+use std::collections::VecDeque;
 use std::io::{self, Write};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,10 +11,16 @@ use eecvs_nostd::Frame;
 use super::address::Address;
 use super::consumer::{Consumer, Message, Report};
 
+/// Messages whose memory is used again: at 50 million events per second, new memory for each would take the
+/// system longer than the message itself.
+const KEPT: usize = 32;
+
 /// All consumers. As a writer it takes a whole frame with every `write_all`, which is how the encoder
 /// gives them.
 pub struct FanOut {
     consumers: Vec<Consumer>,
+    /// The bytes of the latest messages, the oldest first.
+    given: VecDeque<Arc<Vec<u8>>>,
 }
 
 impl FanOut {
@@ -24,18 +31,35 @@ impl FanOut {
     pub fn start(addresses: &[Address], queue_bytes: usize) -> Result<Self> {
         let start = |address: &Address| Consumer::start(address.clone(), queue_bytes);
         let consumers = addresses.iter().map(start).collect::<Result<_>>()?;
-        Ok(Self { consumers })
+        Ok(Self {
+            consumers,
+            given: VecDeque::with_capacity(KEPT),
+        })
     }
 
     /// Gives everyone a message of so many events.
-    pub fn give(&self, bytes: &[u8], events: u64) {
+    pub fn give(&mut self, bytes: &[u8], events: u64) {
+        let mut memory = self.memory();
+        memory.extend_from_slice(bytes);
+        let memory = Arc::new(memory);
+        self.given.push_back(Arc::clone(&memory));
         let message = Message {
-            bytes: Arc::from(bytes),
+            bytes: memory,
             events,
         };
         for consumer in &self.consumers {
             consumer.give(message.clone());
         }
+    }
+
+    /// Room for a message: that of the oldest one, where everyone is done with it.
+    fn memory(&mut self) -> Vec<u8> {
+        let is_full = self.given.len() >= KEPT;
+        let is_done = |oldest: &mut Arc<Vec<u8>>| is_full || Arc::get_mut(oldest).is_some();
+        let oldest = self.given.pop_front_if(is_done);
+        let mut memory = oldest.and_then(Arc::into_inner).unwrap_or_default();
+        memory.clear();
+        memory
     }
 
     /// What became of the messages so far.
@@ -95,7 +119,7 @@ mod tests {
             reading.accept().unwrap().0.read_to_end(&mut bytes).unwrap();
             bytes
         });
-        let fan_out = FanOut::start(
+        let mut fan_out = FanOut::start(
             &[
                 Address::File(file.clone()),
                 Address::Tcp(stuck.local_addr().unwrap().to_string()),
@@ -108,8 +132,8 @@ mod tests {
         // The system's own buffers take megabytes of what nobody reads; after that, all is lost.
         let (mut count, mut all) = (0, Vec::new());
         let (mut taken, mut since) = (0, Instant::now());
-        let is_lagging = || fan_out.reports()[1].lost.messages > 100;
-        while since.elapsed() < Duration::from_millis(600) || !is_lagging() {
+        let is_lagging = |fan_out: &FanOut| fan_out.reports()[1].lost.messages > 100;
+        while since.elapsed() < Duration::from_millis(600) || !is_lagging(&fan_out) {
             let now = fan_out.reports()[1].sent.messages;
             if now > taken {
                 (taken, since) = (now, Instant::now());
@@ -118,6 +142,7 @@ mod tests {
             fan_out.give(&message(count), 3);
             all.extend(message(count));
             count += 1;
+            assert!(fan_out.given.len() <= KEPT);
             // The others get the time that a camera gives them.
             let behind = |i: usize| fan_out.reports()[i].sent.messages + 32 < u64::from(count);
             while behind(0) || behind(2) {
@@ -147,7 +172,7 @@ mod tests {
     fn one_that_vanishes_comes_back_and_its_losses_are_counted() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = Address::Tcp(listener.local_addr().unwrap().to_string());
-        let fan_out = FanOut::start(&[address], QUEUE_BYTES).unwrap();
+        let mut fan_out = FanOut::start(&[address], QUEUE_BYTES).unwrap();
         drop(listener.accept().unwrap());
         let until = Instant::now() + Duration::from_secs(20);
         let mut given = 0;

@@ -304,7 +304,7 @@ mod tests {
                 _ => address,
             };
             for round in 0..2 {
-                let fan_out = FanOut::start(std::slice::from_ref(&to), 1 << 20).unwrap();
+                let mut fan_out = FanOut::start(std::slice::from_ref(&to), 1 << 20).unwrap();
                 let message: Vec<u8> = (0..30_000_u32).map(|i| ((i * i) >> 3) as u8).collect();
                 fan_out.give(&message, 0);
                 let (met, losses) = all(&mut link, message.len());
