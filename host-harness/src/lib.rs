@@ -21,4 +21,5 @@ pub mod recording_info;
 pub mod reference;
 pub mod report;
 pub mod scene;
+pub mod source;
 pub mod thresholds_file;

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 
 use super::output::{print, print_json};
-use crate::bench::rate::source::{self, Source};
 use crate::bench::rate::{Effort, Row, lossless, measure};
 use crate::progress::Progress;
 use crate::report::{rate_chart, rate_table};
+use crate::source::{self, Source};
 
 /// What is asked of it.
 pub struct Rate<'o> {

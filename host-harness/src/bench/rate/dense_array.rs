@@ -2,8 +2,7 @@
 
 use eecvs_nostd::Event;
 
-use super::WINDOW_US;
-use super::source::Source;
+use crate::source::{Source, WINDOW_US};
 
 /// Header of a `.npy` file, which every array has.
 pub const HEADER_BYTES: usize = 128;

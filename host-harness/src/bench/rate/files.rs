@@ -6,10 +6,10 @@ use std::time::Instant;
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::Event;
 
-use super::source::Source;
 use crate::formats::evt2::Evt2Writer;
 use crate::formats::evt3::Evt3Writer;
 use crate::formats::{self, Aedat4Writer, Compression, EventWriter};
+use crate::source::Source;
 
 /// A format.
 #[derive(Debug, Clone, Copy)]
@@ -60,7 +60,7 @@ mod tests {
     use super::*;
     use crate::bench::rate::check::{Promise, check};
     use crate::bench::rate::lossless::ZSTD;
-    use crate::bench::rate::source::scenes;
+    use crate::source::scenes;
 
     #[test]
     fn every_format_gives_the_events_back() {

@@ -6,9 +6,9 @@ use anyhow::Result;
 use eecvs_nostd::Event;
 
 use super::files::Format;
-use super::source::Source;
 use super::{columns, squeeze};
 use crate::formats::Compression;
+use crate::source::Source;
 
 /// AEDAT 4.0's Zstandard, at the level that it has where none is asked for.
 #[cfg(any(feature = "zstd", test))]
@@ -94,7 +94,7 @@ impl Peer {
 mod tests {
     use super::*;
     use crate::bench::rate::check::{Promise, check};
-    use crate::bench::rate::source::scenes;
+    use crate::source::scenes;
 
     #[test]
     fn every_peer_gives_the_events_back() {

@@ -11,7 +11,6 @@ pub mod dense_array;
 pub mod files;
 pub mod lossless;
 pub mod ours;
-pub mod source;
 pub mod squeeze;
 pub mod tore;
 pub mod volume;
@@ -24,12 +23,9 @@ use eecvs_nostd::{Coder, Event, Fidelity, Hybrid, Transform};
 use serde::Serialize;
 
 use crate::metrics::{Comparison, compare};
+use crate::source::{Memory, Source, WINDOW_US};
 use check::{Promise, check};
-use source::{Memory, Source};
 use volume::Volume;
-
-/// T.
-pub const WINDOW_US: u32 = 32_768;
 
 /// How much is measured.
 #[derive(Debug, Clone, Copy)]

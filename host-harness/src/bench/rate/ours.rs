@@ -7,14 +7,13 @@ use eecvs_nostd::{
 };
 use std::num::NonZeroUsize;
 
-use super::WINDOW_US;
-use super::source::Source;
 use super::volume::{BINS, Grid, Volume};
 use crate::decode::WindowReader;
 use crate::encode::{Limits, encode, readout};
 use crate::frame_file::FrameReader;
 use crate::reconstruct::bins::Bins;
 use crate::reconstruct::events::{EventDecoder, Finder};
+use crate::source::{Source, WINDOW_US};
 
 /// A recording encoded and decoded.
 pub struct Decoded {

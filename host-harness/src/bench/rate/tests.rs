@@ -1,6 +1,7 @@
 //! Rows of a small scene.
 
 use super::*;
+use crate::source;
 
 const EFFORT: Effort = Effort {
     scene_us: 40_000,

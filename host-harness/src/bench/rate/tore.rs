@@ -18,9 +18,8 @@ use std::time::Instant;
 
 use eecvs_nostd::{Event, Polarity};
 
-use super::WINDOW_US;
 use super::dense_array::{self, windows};
-use super::source::Source;
+use crate::source::{Source, WINDOW_US};
 
 /// k.
 const DEPTH: usize = 3;

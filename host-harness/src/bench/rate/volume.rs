@@ -6,7 +6,7 @@
 
 use eecvs_nostd::{Event, Sensor};
 
-use super::WINDOW_US;
+use crate::source::WINDOW_US;
 
 /// B.
 pub const BINS: usize = 8;

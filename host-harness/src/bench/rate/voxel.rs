@@ -14,10 +14,9 @@ use std::time::Instant;
 
 use eecvs_nostd::{Event, Polarity};
 
-use super::WINDOW_US;
 use super::dense_array::{self, Window, windows};
-use super::source::Source;
 use super::volume::{BINS, Grid, Volume};
+use crate::source::{Source, WINDOW_US};
 
 /// Type of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! The recordings that rates are measured on, whole and in memory.
+//! Recordings, whole and in memory, that studies are made of: files of some folders, or emulated scenes.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,6 +8,9 @@ use eecvs_nostd::{Event, Sensor};
 
 use crate::formats::{self, BATCH_EVENTS, EventReader, Skipped};
 use crate::scene::{self, Preset, SceneConfig};
+
+/// T of every study, in us.
+pub const WINDOW_US: u32 = 32_768;
 
 /// Endings that a folder is searched for: what sensors write. Arrays and text in it are most often the
 /// same events once more.
@@ -51,6 +54,18 @@ impl Source {
         })
     }
 
+    /// An emulated scene of `duration_us`, named as its preset.
+    ///
+    /// # Errors
+    /// A scene without events.
+    pub fn scene(preset: Preset, seed: u64, duration_us: u64) -> Result<Self> {
+        let mut scene = scene::emulate(SceneConfig {
+            duration_us,
+            ..SceneConfig::new(preset, seed)
+        })?;
+        Self::new(preset.name(), &mut scene).with_context(|| format!("the scene {}", preset.name()))
+    }
+
     /// Its time of 0: where the first window begins.
     #[must_use]
     pub fn start_us(&self) -> u64 {
@@ -72,12 +87,11 @@ pub fn scenes(duration_us: u64) -> Result<Vec<Source>> {
     SCENES
         .into_iter()
         .map(|(name, preset)| {
-            let config = SceneConfig::new(preset, 1);
-            let mut scene = scene::emulate(SceneConfig {
-                duration_us,
-                ..config
-            })?;
-            Source::new(name, &mut scene)
+            let scene = Source::scene(preset, 1, duration_us)?;
+            Ok(Source {
+                name: name.to_owned(),
+                ..scene
+            })
         })
         .collect()
 }
