@@ -203,7 +203,7 @@ mod tests {
         assert_eq!(last.number, (u64::MAX - 7) / t_us);
         assert_eq!(last.age_us(u64::MAX) + (u64::MAX - last.start_us), t_us);
         assert_eq!(last.time_us(WINDOW_US - 1), u64::MAX);
-        assert_eq!(last.age_us(0), u64::MAX.min(last.start_us + t_us));
+        assert_eq!(last.age_us(0), last.start_us.saturating_add(t_us));
     }
 
     #[test]

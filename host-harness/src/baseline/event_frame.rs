@@ -56,7 +56,7 @@ impl Representation for EventFrame {
         })
     }
 
-    fn decode(&self, numbers: &[f64], (): &mut (), found: &mut Vec<Found>) {
+    fn decode(&self, numbers: &[f64], _step: f64, (): &mut (), found: &mut Vec<Found>) {
         for (count, polarity) in numbers.iter().zip([Polarity::On, Polarity::Off]) {
             // Counts are whole.
             found.extend(Found::evenly(*count as u64, polarity));

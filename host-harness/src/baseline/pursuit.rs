@@ -9,7 +9,9 @@
 //! 1. the time of a grid, and the sign, that lower it the most become an event; where an event of the
 //!    opposite sign lies there, it goes instead;
 //! 2. the times of all events are refined together: damped least squares (Levenberg, Marquardt);
-//! 3. again, until no event lowers it: none can once it is below M / 4, as |<r, a>| <= |r| M^(1/2).
+//! 3. again, until no event lowers it;
+//! 4. where more is left than rounding explains, one event more, or one of each sign, at the best times
+//!    for them stay if all, refined together, leave half of the energy or less; then again from 1.
 //!
 //! Where f_0 = 0, c_0 is the signed sum of the pixel: last come the events, as few as can be, that make
 //! theirs the same. M complex numbers tell of 2 M times at the most: what c_0 has above that lies evenly
@@ -30,6 +32,12 @@ const CANCEL: f64 = 0.9;
 /// Rounds of refining after each event, and at the end.
 const ROUNDS: usize = 3;
 const ROUNDS_LAST: usize = 12;
+/// The share of the energy that an escape must leave at the most.
+const ESCAPE: f64 = 0.5;
+/// Nothing is sought in an energy of this many times what rounding makes of it, or of this share of an
+/// event's, which is what f32 makes of some dozen events.
+const NOISE: f64 = 2.0;
+const NATURAL: f64 = 1e-10;
 /// Refining ends at steps below this share of a window: 0.003 us.
 const STEP_MIN: f64 = 1e-7;
 /// Damping at the start, and most of it.
@@ -105,8 +113,9 @@ impl Pursuit {
         }
     }
 
-    /// Adds the events of a pixel, from the real and the imaginary part of each coefficient.
-    pub fn find(&self, numbers: &[f64], work: &mut Work, found: &mut Vec<Found>) {
+    /// Adds the events of a pixel, from the real and the imaginary part of each coefficient, which are
+    /// multiples of `step`; of 0 where they are not.
+    pub fn find(&self, numbers: &[f64], step: f64, work: &mut Work, found: &mut Vec<Found>) {
         let sum = numbers.first().map_or(0.0, |re| re.round());
         work.residual.clear();
         let coefficients = numbers.chunks_exact(2);
@@ -118,7 +127,7 @@ impl Pursuit {
         work.events.clear();
         // Without a frequency above 0 nothing is told of times.
         if self.turns.iter().any(|turns| *turns != 0.0) {
-            self.pursue(work);
+            self.pursue(step, work);
         }
         if self.has_sum {
             self.balance(sum, work);
@@ -139,13 +148,15 @@ impl Pursuit {
         2 * self.turns.len()
     }
 
-    /// Steps 1 to 3.
-    fn pursue(&self, work: &mut Work) {
+    /// Steps 1 to 4.
+    fn pursue(&self, step: f64, work: &mut Work) {
         let power = self.turns.len() as f64;
+        // Errors of two numbers for each coefficient are uniform, with variances of step^2 / 12.
+        let floor = power * (NATURAL + NOISE * step * step / 6.0);
         let mut is_refined = false;
         // Each lowers the energy, so this ends; events that come and go by little are cut short.
         for _ in 0..2 * self.events_max() {
-            if work.energy < power / 4.0 {
+            if work.energy <= floor {
                 break;
             }
             let (place, gain) = self.best(work, None);
@@ -156,7 +167,9 @@ impl Pursuit {
                 self.refine(ROUNDS, work);
                 is_refined = false;
             } else if is_refined {
-                break;
+                if !self.escape(floor, work) {
+                    break;
+                }
             } else {
                 self.refine(ROUNDS_LAST, work);
                 is_refined = true;
@@ -165,6 +178,31 @@ impl Pursuit {
         if !is_refined {
             self.refine(ROUNDS_LAST, work);
         }
+    }
+
+    /// Step 4; false where it helps not.
+    fn escape(&self, floor: f64, work: &mut Work) -> bool {
+        if work.energy <= floor {
+            return false;
+        }
+        let (events, residual) = (work.events.clone(), work.residual.clone());
+        let energy = work.energy;
+        for tried in [&[None][..], &[Some(1.0), Some(-1.0)]] {
+            for sign in tried {
+                let (place, _) = self.best(work, *sign);
+                self.take(place, work);
+            }
+            if work.events.len() <= self.events_max() {
+                self.refine(ROUNDS_LAST, work);
+                if work.energy < ESCAPE * energy {
+                    return true;
+                }
+            }
+            work.events.clone_from(&events);
+            work.residual.clone_from(&residual);
+            work.energy = energy;
+        }
+        false
     }
 
     /// Makes the sum of the signs `sum`, as far as there is room for events.
@@ -437,7 +475,7 @@ mod tests {
 
     fn found(frequencies: &[f64], numbers: &[f64]) -> Vec<(u32, i32)> {
         let (mut work, mut found) = (Work::default(), Vec::new());
-        Pursuit::new(frequencies).find(numbers, &mut work, &mut found);
+        Pursuit::new(frequencies).find(numbers, 0.0, &mut work, &mut found);
         let mut found: Vec<_> = found
             .iter()
             .map(|found| (found.since_us, found.polarity.sign()))

@@ -77,8 +77,9 @@ pub trait Representation: Sync {
         true
     }
 
-    /// Adds the events of a pixel, from its stored numbers.
-    fn decode(&self, numbers: &[f64], work: &mut Self::Work, found: &mut Vec<Found>);
+    /// Adds the events of a pixel, from its stored numbers, which are multiples of `step`; of 0 where
+    /// they have none.
+    fn decode(&self, numbers: &[f64], step: f64, work: &mut Self::Work, found: &mut Vec<Found>);
 }
 
 /// Bytes and time of a recording's arrays.
@@ -161,6 +162,7 @@ pub fn decode<R: Representation>(
     array: &StoredArray,
 ) -> Vec<Event> {
     let channels = representation.channels().max(1);
+    let step = f64::from(array.quantiser.step().unwrap_or(0.0));
     let pixels = array.pixels.par_chunks(PIXELS_PER_TASK);
     let codes = array.codes.par_chunks(PIXELS_PER_TASK * channels);
     let events = pixels.zip(codes).map(|(pixels, codes)| {
@@ -169,7 +171,7 @@ pub fn decode<R: Representation>(
         for (pixel, codes) in pixels.iter().zip(codes.chunks(channels)) {
             numbers.clear();
             numbers.extend(codes.iter().map(|code| array.quantiser.value(*code)));
-            representation.decode(&numbers, &mut work, &mut found);
+            representation.decode(&numbers, step, &mut work, &mut found);
             let (x, y) = sensor.pixel(*pixel).unwrap_or_default();
             events.extend(found.drain(..).map(|found| Event {
                 t_us: window.time_us(found.since_us),

@@ -47,7 +47,13 @@ fn arrays_have_the_size_of_their_definition() {
             assert_eq!(found.array_bytes, 2 * array, "{}", baseline.name());
             assert!(found.packed_bytes > 0 && found.packed_bytes < 600);
             assert_eq!(found.has_times, baseline != Baseline::EventFrame);
-            assert_eq!(found.events.len(), 2, "{}", baseline.name());
+            // Rounding may make the window's first event older than the window.
+            let least = if stored == Stored::F32 { 2 } else { 1 };
+            assert!(
+                (least..=2).contains(&found.events.len()),
+                "{}",
+                baseline.name()
+            );
         }
     }
 }

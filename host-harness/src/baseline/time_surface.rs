@@ -77,7 +77,7 @@ impl Representation for TimeSurface {
         age_us(number).is_some()
     }
 
-    fn decode(&self, numbers: &[f64], (): &mut (), found: &mut Vec<Found>) {
+    fn decode(&self, numbers: &[f64], _step: f64, (): &mut (), found: &mut Vec<Found>) {
         for (number, polarity) in numbers.iter().zip([Polarity::On, Polarity::Off]) {
             found.extend(age_us(*number).map(|age_us| Found {
                 since_us: WINDOW_US - age_us,

@@ -92,7 +92,7 @@ impl Representation for Tore {
         age_us(number) <= u64::from(WINDOW_US)
     }
 
-    fn decode(&self, numbers: &[f64], (): &mut (), found: &mut Vec<Found>) {
+    fn decode(&self, numbers: &[f64], _step: f64, (): &mut (), found: &mut Vec<Found>) {
         let queues = numbers.chunks(self.channels() / 2);
         for (queue, polarity) in queues.zip([Polarity::On, Polarity::Off]) {
             for number in queue.iter().filter(|number| self.is_news(**number)) {
@@ -179,7 +179,7 @@ mod tests {
 
     #[test]
     fn numbers_of_earlier_windows_are_not_kept_for_the_link() {
-        let events = [event(20_000, 1, 1, true), event(40_000, 9, 1, true)];
+        let events = [event(0, 1, 1, true), event(40_000, 9, 1, true)];
         let mut windows = Vec::new();
         let mut tore = Tore::new(SENSOR, 2);
         arrays(

@@ -134,7 +134,7 @@ impl Representation for Voxel {
         })
     }
 
-    fn decode(&self, numbers: &[f64], work: &mut Work, found: &mut Vec<Found>) {
+    fn decode(&self, numbers: &[f64], _step: f64, work: &mut Work, found: &mut Vec<Found>) {
         let total = numbers.iter().sum::<f64>().round();
         let polarity = |count: f64| Polarity::from_bool(count > 0.0);
         if self.bins == 1 {
