@@ -135,7 +135,7 @@ fn with<R: Representation>(
     )?;
     Ok(Decoded {
         array_bytes: made.array_bytes,
-        packed_bytes: packer.len()?,
+        packed_bytes: packer.packed_bytes()?,
         seconds: made.seconds,
         events,
         has_times: representation.has_times(),

@@ -108,7 +108,7 @@ impl Packer<Count> {
     ///
     /// # Errors
     /// None: there is always room.
-    pub fn len(self) -> Result<usize> {
+    pub fn packed_bytes(self) -> Result<usize> {
         Ok(self.finish()?.0)
     }
 }
@@ -142,7 +142,7 @@ mod tests {
             let mut counting = Packer::counting(sensor).unwrap();
             counting.push(0x0102, &array).unwrap();
             counting.push(3, &array).unwrap();
-            assert_eq!(counting.len().unwrap(), packed.len());
+            assert_eq!(counting.packed_bytes().unwrap(), packed.len());
         }
     }
 

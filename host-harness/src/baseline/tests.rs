@@ -116,7 +116,7 @@ fn recording() -> impl Strategy<Value = Source> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
+    #![proptest_config(ProptestConfig::with_cases(16))]
 
     #[test]
     fn decoded_events_are_in_the_sensor_and_in_windows_that_had_some(
