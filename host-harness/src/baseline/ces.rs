@@ -37,7 +37,8 @@ pub enum Law {
     /// f_0 = 0, so that c_0 is the signed sum; the others |Normal(0, M / 4)| turns a window.
     LowFrequency,
     /// Normal(0, 0.5) turns a second, as the paper's published code has it. In a window of 33 ms they
-    /// turn by a hundredth: every coefficient is nearly the signed sum, and times are hardly told.
+    /// turn by a hundredth: every coefficient is nearly the signed sum, and times are hardly told. Where
+    /// the other law leaves an `emd_pixel_us` of 394 (`indoor-flying`, M = 16), this one, in f32, has 10,493.
     PaperCode,
 }
 
