@@ -1,5 +1,6 @@
 //! Library behind the `eecvs` command.
 
+pub mod baseline;
 pub mod bench;
 pub mod calibrate;
 pub mod cmd;

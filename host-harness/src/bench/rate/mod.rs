@@ -7,14 +7,11 @@
 
 pub mod check;
 pub mod columns;
-pub mod dense_array;
 pub mod files;
 pub mod lossless;
 pub mod ours;
 pub mod squeeze;
-pub mod tore;
 pub mod volume;
-pub mod voxel;
 
 use std::sync::Arc;
 
@@ -22,10 +19,15 @@ use anyhow::{Context, Result};
 use eecvs_nostd::{Coder, Event, Fidelity, Hybrid, Transform};
 use serde::Serialize;
 
+use crate::baseline::dense_array::{StoredArray, Window};
+use crate::baseline::representation::{self, Made, Representation};
+use crate::baseline::stored::Stored;
+use crate::baseline::tore::{self, Tore};
+use crate::baseline::voxel::Voxel;
 use crate::metrics::{Comparison, compare};
 use crate::source::{Memory, Source, WINDOW_US};
 use check::{Promise, check};
-use volume::Volume;
+use volume::{BINS, Volume};
 
 /// How much is measured.
 #[derive(Debug, Clone, Copy)]
@@ -66,7 +68,7 @@ impl Effort {
         let hybrid = 2 * (1 + self.tolerances_us.len() + self.bins.len());
         // Plain, and by the two coders.
         let transform = 3 * Transform::ALL.len() * self.m.len();
-        let arrays = tore::Value::ALL.len() + voxel::Value::ALL.len() * self.voxel_bins.len();
+        let arrays = Stored::ALL.len() * (1 + self.voxel_bins.len());
         hybrid + transform + lossless::peers().len() + arrays
     }
 }
@@ -93,7 +95,7 @@ pub struct Row {
     pub volume_nmse: Option<f64>,
     /// The same of the box volume straight from coefficients; `None` for all but mode `transform`.
     pub coefficients_nmse: Option<f64>,
-    /// Spent encoding, one thread, one run.
+    /// Spent encoding, one thread, one run; of an array, on its active pixels.
     pub seconds: f64,
 }
 
@@ -157,11 +159,11 @@ pub fn measure(source: &Source, effort: Effort, progress: &mut dyn FnMut()) -> R
     for peer in lossless::peers() {
         subject.peer(peer)?;
     }
-    for stored in tore::Value::ALL {
+    for stored in Stored::ALL {
         subject.tore(stored)?;
     }
     for bins in effort.voxel_bins {
-        for stored in voxel::Value::ALL {
+        for stored in Stored::ALL {
             subject.voxel(*bins, stored)?;
         }
     }
@@ -237,27 +239,71 @@ impl Subject<'_> {
         Ok(())
     }
 
-    fn tore(&mut self, stored: tore::Value) -> Result<()> {
-        let (bytes, seconds, events) = tore::round_trip(self.source, stored);
-        let row = self.row("tore", stored.name(), bytes, seconds);
+    fn tore(&mut self, stored: Stored) -> Result<()> {
+        let mut tore = Tore::new(self.source.sensor, tore::DEPTH);
+        let setting = tore.range().type_name(stored);
+        let (made, events) = self.arrays(&mut tore, stored, &mut |_, _| ())?;
+        let row = self.row("tore", setting, made.array_bytes, made.seconds);
         let row = self.distorted(row, &events)?;
         self.push(row);
         Ok(())
     }
 
-    fn voxel(&mut self, bins: usize, stored: voxel::Value) -> Result<()> {
-        let decoded = voxel::round_trip(self.source, bins, stored);
-        let setting = format!("{bins} bins, {}", stored.name());
-        let row = self.row("voxel", &setting, decoded.bytes, decoded.seconds);
-        let found = self.compare(&decoded.frames)?;
-        let volume = decoded.volume.as_ref();
+    /// With the metrics of frames alone, and the volume of a grid of as many bins as it is.
+    fn voxel(&mut self, bins: usize, stored: Stored) -> Result<()> {
+        let mut voxel = Voxel::new(self.source.sensor, bins);
+        let setting = format!("{bins} bins, {}", voxel.range().type_name(stored));
+        let (grid, sensor) = (self.source.grid(), self.source.sensor);
+        let mut cells = Vec::new();
+        let has_volume = bins == BINS;
+        let (made, events) = self.arrays(&mut voxel, stored, &mut |window, array| {
+            if !has_volume {
+                return;
+            }
+            for (pixel, codes) in array.pixels.iter().zip(array.codes.chunks(bins)) {
+                let (x, y) = sensor.pixel(*pixel).unwrap_or_default();
+                let first = grid.cell(window.number, x, y, 0);
+                let values = codes.iter().map(|code| array.quantiser.value(*code));
+                cells.extend((first..).zip(values));
+            }
+        })?;
+        let row = self.row("voxel", &setting, made.array_bytes, made.seconds);
+        let found = self.compare(&events)?;
+        let volume = has_volume.then(|| Volume::new(cells));
         self.push(Row {
             mse: Some(found.mse),
             ssim: Some(found.ssim),
-            volume_nmse: volume.and_then(|volume| self.volume.nmse(volume)),
+            volume_nmse: volume.and_then(|volume| self.volume.nmse(&volume)),
             ..row
         });
         Ok(())
+    }
+
+    /// Arrays of a recording, and the events that are found in them.
+    fn arrays<R: Representation>(
+        &self,
+        representation: &mut R,
+        stored: Stored,
+        visit: &mut dyn FnMut(&Window<'_>, &StoredArray),
+    ) -> Result<(Made, Vec<Event>)> {
+        let (source, mut events) = (self.source, Vec::new());
+        let made = representation::arrays(
+            representation,
+            source,
+            stored,
+            &mut |representation, window, array| {
+                visit(window, array);
+                let sensor = source.sensor;
+                events.extend(representation::decode(
+                    representation,
+                    sensor,
+                    window,
+                    array,
+                ));
+                Ok(())
+            },
+        )?;
+        Ok((made, events))
     }
 
     fn push(&mut self, row: Row) {

@@ -1,6 +1,7 @@
 //! Rows of a small scene.
 
 use super::*;
+use crate::metrics::memory_reader::{SENSOR, event};
 use crate::source;
 
 const EFFORT: Effort = Effort {
@@ -53,4 +54,34 @@ fn every_row_is_there_once_and_its_metrics_are_what_applies() {
     assert!(of("hybrid-dense", "50 us").emd_pixel_us.unwrap() <= 50.0);
     assert_eq!(of("hybrid-dense", "8 bins").volume_nmse, Some(0.0));
     assert!(of("tore", "u8").bits_per_event < of("tore", "f32").bits_per_event);
+}
+
+#[test]
+fn a_grid_of_eight_bins_is_held_against_the_box_volume() {
+    let volume_nmse = |events: &[Event], stored| {
+        let source = Source {
+            name: "test".to_owned(),
+            sensor: SENSOR,
+            events: Arc::from(events),
+        };
+        let mut subject = Subject {
+            source: &source,
+            volume: source.grid().volume(events),
+            rows: Vec::new(),
+            progress: &mut || (),
+        };
+        subject.voxel(8, stored).unwrap();
+        subject.rows.remove(0).volume_nmse.unwrap()
+    };
+    // In the first and the last bin the weights are nearly all one bin's.
+    let ends = [event(0, 4, 3, true), event(32_767, 4, 3, false)];
+    assert!(volume_nmse(&ends, Stored::F32) < 1e-6);
+    let many: Vec<Event> = (0..40)
+        .map(|i| event(701 * i, (i % 3) as u16, 0, i % 5 > 0))
+        .collect();
+    let exact = volume_nmse(&many, Stored::F32);
+    for (stored, most) in [(Stored::Bits16, 1e-4), (Stored::Bits8, 1e-2)] {
+        let off = (volume_nmse(&many, stored) - exact).abs();
+        assert!(off > 0.0 && off < most, "{off}");
+    }
 }
