@@ -165,7 +165,7 @@ fn components(sensor: Sensor, foreground: &[u8]) -> Vec<u32> {
     let mut reached: Vec<usize> = Vec::new();
     let mut label = 1;
     for first in 0..labels.len() {
-        let mut take = |labels: &mut [u32], reached: &mut Vec<usize>, pixel: usize| {
+        let take = |labels: &mut [u32], reached: &mut Vec<usize>, pixel: usize| {
             if let Some(found) = labels.get_mut(pixel).filter(|found| **found == FREE) {
                 *found = label;
                 reached.push(pixel);
