@@ -191,7 +191,6 @@ mod tests {
             let v = Velocity { x, y };
             let found = Search::new().velocity(&texture(v, 120, 12)).unwrap();
             // Places are whole pixels.
-            eprintln!("ERR {}", distance(found, v));
             assert!(distance(found, v) < 0.5, "{v:?}: {found:?}");
         }
     }

@@ -27,20 +27,32 @@ fn collapsed(source: &Source) -> Vec<Event> {
 
 #[test]
 fn the_scene_moves_as_its_camera_does() {
-    // 170 px/s to the left in the middle row, swinging by 7/10, and faster further down.
+    // A camera at some 170 px/s: the background moves to the left, the faster the further down, but
+    // for a box that crosses rows 3 and 4 of tiles at 1.7 widths per second.
     let reference = FlowReference::new(&source());
-    let flows = reference.flows();
-    assert!(flows.len() > 50, "{}", flows.len());
-    let mean = |rows: std::ops::Range<u16>| {
-        let of_rows: Vec<f32> = flows
-            .iter()
+    let background = |rows: std::ops::Range<u16>| {
+        let flows = reference.flows().iter();
+        let mut speeds: Vec<f32> = flows
             .filter(|flow| rows.contains(&flow.tile.1))
             .map(|flow| flow.velocity.0)
             .collect();
-        of_rows.iter().sum::<f32>() / of_rows.len() as f32
+        assert!(speeds.len() > 8, "{speeds:?}");
+        speeds.sort_by(f32::total_cmp);
+        speeds[speeds.len() / 2]
     };
-    eprintln!("{flows:?} {} {}", mean(0..3), mean(5..9));
-    assert!(mean(5..9).abs() > mean(0..3).abs());
+    let window_s = f64::from(WINDOW_US) * 1e-6;
+    let (far, near) = (background(0..3), background(5..9));
+    let middle = -170.0 * window_s;
+    assert!(
+        f64::from(near) < 1.3 * middle && f64::from(far) > middle,
+        "{near} {far}"
+    );
+    assert!(near < far && far < -1.0, "{near} {far}");
+    let boxed = 1.7 * 346.0 * window_s;
+    let in_box = reference.flows().iter().filter(|flow| {
+        (f64::from(flow.velocity.0) - boxed).abs() < 0.5 && (3..5).contains(&flow.tile.1)
+    });
+    assert!(in_box.count() > 3, "{:?}", reference.flows());
 }
 
 #[test]
