@@ -260,7 +260,7 @@ fn masks_of_a_picture_overlap_by_their_logits() {
         "Conv",
         &["image", "weights", "biases"],
         "stacked",
-        &[("kernel_shape", &[1, 1]), ("strides", &[1, 1])],
+        &[("kernel_shape", &[1, 1])],
     );
     let squeeze = node("Squeeze", &["stacked"], "masks", &[("axes", &[0])]);
     // Red and blue, at half of the full colour.
@@ -406,13 +406,14 @@ fn models_that_do_not_fit_are_told_from_those_that_do() {
 fn models_that_cannot_be_run_are_errors() {
     let folder = Folder::new();
     let frame = frame();
-    // Weights for two channels of an image with one, and an output of two dimensions.
+    // Weights for two channels of an image with one, on which the runtime panics, and an output of
+    // two dimensions.
     let contradicting = model(
         &[node(
             "Conv",
             &["image", "weights"],
             "logits",
-            &[("strides", &[1, 1])],
+            &[("kernel_shape", &[1, 1])],
         )],
         &[tensor("weights", &[1, 2, 1, 1], &[1.0, 1.0])],
         &[image(1, ANY)],
@@ -424,7 +425,7 @@ fn models_that_cannot_be_run_are_errors() {
         &[image(1, ANY)],
         &[value("logits", FLOAT, &[])],
     );
-    for (bytes, part) in [(contradicting, "channels"), (flat, "[8, 12]")] {
+    for (bytes, part) in [(contradicting, "runtime fails"), (flat, "[8, 12]")] {
         let error = folder.model(&bytes).segment(&frame).unwrap_err();
         let error = format!("{error:#}");
         assert!(
