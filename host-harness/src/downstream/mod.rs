@@ -3,8 +3,8 @@
 //!
 //! | task | answers | agreement |
 //! |---|---|---|
-//! | [`segmentation`] | segments of event frames | IoU of the masks |
-//! | [`mod@flow`] | optical flow of tiles | length of the difference |
+//! | [`segmentation()`] | segments of event frames | IoU of the masks |
+//! | [`flow()`] | optical flow of tiles | length of the difference |
 
 pub mod flow;
 pub mod segment;

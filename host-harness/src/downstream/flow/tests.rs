@@ -1,12 +1,17 @@
+use std::sync::LazyLock;
+
 use eecvs_nostd::Sensor;
 
 use super::*;
 use crate::downstream::test_events::{jittered, shuffled};
 use crate::scene::Preset;
 
-fn source() -> Source {
-    Source::scene(Preset::Motorcycle, 1, 200_000).unwrap()
-}
+/// A scene and its flow.
+static SCENE: LazyLock<(Source, FlowReference)> = LazyLock::new(|| {
+    let source = Source::scene(Preset::Motorcycle, 1, 200_000).unwrap();
+    let reference = FlowReference::new(&source);
+    (source, reference)
+});
 
 /// Each event in the middle of its window.
 fn collapsed(source: &Source) -> Vec<Event> {
@@ -29,7 +34,7 @@ fn collapsed(source: &Source) -> Vec<Event> {
 fn the_scene_moves_as_its_camera_does() {
     // A camera at some 170 px/s: the background moves to the left, the faster the further down, but
     // for a box that crosses rows 3 and 4 of tiles at 1.7 widths per second.
-    let reference = FlowReference::new(&source());
+    let reference = &SCENE.1;
     let background = |rows: std::ops::Range<u16>| {
         let flows = reference.flows().iter();
         let mut speeds: Vec<f32> = flows
@@ -57,8 +62,7 @@ fn the_scene_moves_as_its_camera_does() {
 
 #[test]
 fn the_same_events_in_any_order_differ_by_0() {
-    let source = source();
-    let reference = FlowReference::new(&source);
+    let (source, reference) = &*SCENE;
     let found = reference.against(&shuffled(&source.events));
     assert_eq!(found.tiles, reference.flows().len());
     assert_eq!(
@@ -69,8 +73,7 @@ fn the_same_events_in_any_order_differ_by_0() {
 
 #[test]
 fn the_more_times_move_the_more_flows_differ() {
-    let source = source();
-    let reference = FlowReference::new(&source);
+    let (source, reference) = &*SCENE;
     let [near, far] =
         [200, 3_000].map(|jitter_us| reference.against(&jittered(&source.events, jitter_us)));
     assert!(
@@ -81,15 +84,14 @@ fn the_more_times_move_the_more_flows_differ() {
         far.mean_px > near.mean_px && far.lost > near.lost,
         "{near:?} {far:?}"
     );
-    let none = reference.against(&collapsed(&source));
+    let none = reference.against(&collapsed(source));
     assert_eq!((none.lost, none.mean_px), (none.tiles, None));
     assert_eq!(reference.against(&[]), none);
 }
 
 #[test]
 fn events_off_the_sensor_and_the_windows_are_ignored() {
-    let source = source();
-    let reference = FlowReference::new(&source);
+    let (source, reference) = &*SCENE;
     let strange: Vec<Event> = source
         .events
         .iter()
