@@ -7,6 +7,7 @@ pub mod cmd;
 pub mod convert;
 pub mod decode;
 pub mod density_series;
+pub mod downstream;
 pub mod encode;
 pub mod exact_density;
 pub mod formats;

@@ -1,0 +1,147 @@
+//! Agreement of two segmentations: intersection over union.
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+use anyhow::Result;
+
+use super::masks::{Masks, segment};
+
+/// Pixels in a segment of both / pixels in a segment of either; 1 where neither has one.
+///
+/// Which segments they are does not matter.
+///
+/// # Errors
+/// Masks of different sizes.
+pub fn foreground_iou(a: &Masks, b: &Masks) -> Result<f64> {
+    let (mut both, mut either) = (0_u64, 0_u64);
+    a.overlaps(b, |pixels, a, b| {
+        both += u64::from(pixels) * u64::from(a != 0 && b != 0);
+        either += u64::from(pixels) * u64::from(a != 0 || b != 0);
+    })?;
+    Ok(if either == 0 {
+        1.0
+    } else {
+        both as f64 / either as f64
+    })
+}
+
+/// Mean IoU over the matched pairs of segments and those left over on either side.
+///
+/// Of all pairs of a segment of `a` and one of `b` that overlap, the one of the greatest IoU is
+/// matched (of equal ones that of the lowest labels), then the greatest among segments that are
+/// still free, and so on: one to one. A segment left over counts 0:
+/// sum of the pairs' IoU / (pairs + left over in `a` + left over in `b`). 1 where neither has a
+/// segment.
+///
+/// # Errors
+/// Masks of different sizes.
+pub fn mean_iou(a: &Masks, b: &Masks) -> Result<f64> {
+    let mut shared: BTreeMap<(usize, usize), u64> = BTreeMap::new();
+    a.overlaps(b, |pixels, a, b| {
+        if let Some(pair) = segment(a).zip(segment(b)) {
+            *shared.entry(pair).or_default() += u64::from(pixels);
+        }
+    })?;
+    let mut pairs: Vec<Pair> = shared
+        .into_iter()
+        .filter_map(|((in_a, in_b), both)| {
+            let sum = a.areas().get(in_a)? + b.areas().get(in_b)?;
+            let either = sum - both;
+            Some(Pair {
+                in_a,
+                in_b,
+                both,
+                either,
+            })
+        })
+        .collect();
+    // Stable: pairs of equal IoU stay in the order of their labels.
+    pairs.sort_by(|p, q| Reverse(p.both * q.either).cmp(&Reverse(q.both * p.either)));
+    let (mut free_a, mut free_b) = (vec![true; a.segments()], vec![true; b.segments()]);
+    let (mut sum, mut matched) = (0.0, 0_usize);
+    for pair in pairs {
+        let (Some(is_free_a), Some(is_free_b)) =
+            (free_a.get_mut(pair.in_a), free_b.get_mut(pair.in_b))
+        else {
+            continue;
+        };
+        if *is_free_a && *is_free_b {
+            (*is_free_a, *is_free_b) = (false, false);
+            sum += pair.both as f64 / pair.either as f64;
+            matched += 1;
+        }
+    }
+    let counted = a.segments() + b.segments() - matched;
+    Ok(if counted == 0 {
+        1.0
+    } else {
+        sum / counted as f64
+    })
+}
+
+/// Two segments that overlap: IoU = both / either, at most 2^22 pixels each.
+struct Pair {
+    in_a: usize,
+    in_b: usize,
+    both: u64,
+    either: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_nostd::Sensor;
+
+    use super::*;
+
+    fn masks(rows: &[&str]) -> Masks {
+        let labels: Vec<u32> = rows
+            .iter()
+            .flat_map(|row| row.chars().map(|label| label.to_digit(10).unwrap()))
+            .collect();
+        let sensor = Sensor::new(rows[0].len() as u16, rows.len() as u16).unwrap();
+        Masks::new(sensor, &labels).unwrap()
+    }
+
+    #[test]
+    fn both_are_one_for_equal_masks_and_for_two_without_segments() {
+        let (some, none) = (masks(&["1102", "0033"]), masks(&["0000", "0000"]));
+        for iou in [foreground_iou, mean_iou] {
+            assert_eq!(iou(&some, &some).unwrap(), 1.0);
+            assert_eq!(iou(&none, &none).unwrap(), 1.0);
+            assert_eq!(iou(&some, &none).unwrap(), 0.0);
+            assert_eq!(iou(&none, &some).unwrap(), 0.0);
+        }
+    }
+
+    #[test]
+    fn labels_do_not_matter() {
+        let (a, b) = (masks(&["1102", "0033"]), masks(&["3301", "0022"]));
+        assert_eq!(foreground_iou(&a, &b).unwrap(), 1.0);
+        assert_eq!(mean_iou(&a, &b).unwrap(), 1.0);
+    }
+
+    #[test]
+    fn pixels_of_either_are_divided_by() {
+        let (a, b) = (masks(&["11110000"]), masks(&["00111100"]));
+        assert_eq!(foreground_iou(&a, &b).unwrap(), 2.0 / 6.0);
+        assert_eq!(mean_iou(&a, &b).unwrap(), 2.0 / 6.0);
+    }
+
+    #[test]
+    fn the_greatest_pair_is_matched_first() {
+        // 1 of A overlaps 1 of B (3 of 7 pixels) and 2 of B (2 of 5); 2 of A overlaps 1 of B (2 of 5).
+        let a = masks(&["1111122"]);
+        let b = masks(&["2211111"]);
+        // (1, 1) takes both of its segments; 2 of A and 2 of B are left over.
+        assert_eq!(mean_iou(&a, &b).unwrap(), (3.0 / 7.0) / 3.0);
+        assert_eq!(foreground_iou(&a, &b).unwrap(), 1.0);
+    }
+
+    #[test]
+    fn a_segment_in_two_halves_counts_once() {
+        let (a, b) = (masks(&["111111"]), masks(&["111022"]));
+        assert_eq!(mean_iou(&a, &b).unwrap(), (3.0 / 6.0) / 2.0);
+        assert_eq!(mean_iou(&b, &a).unwrap(), (3.0 / 6.0) / 2.0);
+    }
+}

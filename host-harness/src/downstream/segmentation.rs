@@ -1,0 +1,222 @@
+//! Segments of the original and of the decoded events, slice by slice.
+
+use std::cmp::Ordering;
+
+use anyhow::{Context, Result, ensure};
+use eecvs_nostd::Event;
+use serde::Serialize;
+
+use super::segment::iou::{foreground_iou, mean_iou};
+use super::segment::{Frame, Masks, Segmenter};
+use super::slices::Slices;
+use crate::source::Source;
+
+/// Frames that are in memory at a time.
+const BATCH: usize = 16;
+
+/// How far the segments agree; the fields are JSON keys.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Segmentation {
+    /// Frames in which either side has a segment: those that the means are over.
+    pub frames: usize,
+    /// Mean of [`foreground_iou`]; 1 where there is no such frame.
+    pub foreground_iou: f64,
+    /// Mean of [`mean_iou`]; 1 where there is no such frame.
+    pub mean_iou: f64,
+}
+
+/// Compares the segments of a recording with those of what was decoded; see
+/// [`SegmentationReference`], which serves where there are several decoded ones.
+///
+/// # Errors
+/// As [`SegmentationReference::new`] and [`SegmentationReference::against`].
+pub fn segmentation(
+    original: &Source,
+    decoded: &[Event],
+    slice_us: u32,
+    segmenter: &mut dyn Segmenter,
+) -> Result<Segmentation> {
+    SegmentationReference::new(original, slice_us, segmenter)?.against(decoded, segmenter)
+}
+
+/// The segments of a recording.
+#[derive(Debug, Clone)]
+pub struct SegmentationReference {
+    slices: Slices,
+    /// In order of the slices' numbers.
+    masks: Vec<(u64, Masks)>,
+}
+
+impl SegmentationReference {
+    /// Segments frames of `slice_us` from the recording's first event on. In slices of
+    /// [`WINDOW_US`](crate::source::WINDOW_US), whole windows of the codec, a frame depends on the
+    /// decoded counts alone; in shorter ones on the decoded times, too.
+    ///
+    /// # Errors
+    /// The segmenter's; a `slice_us` of 0.
+    pub fn new(original: &Source, slice_us: u32, segmenter: &mut dyn Segmenter) -> Result<Self> {
+        ensure!(slice_us > 0, "a slice must be 1 us or longer");
+        let slices = Slices::new(original.sensor, &original.events, slice_us);
+        let masks = segment(slices, &original.events, segmenter)
+            .with_context(|| format!("{}: segments of its events", original.name))?;
+        Ok(Self { slices, masks })
+    }
+
+    /// Compares them with the segments of `decoded`, in the same slices: events in any order; those
+    /// outside of the sensor or of the recording's slices are ignored.
+    ///
+    /// # Errors
+    /// The segmenter's, which must be as that of [`Self::new`].
+    pub fn against(
+        &self,
+        decoded: &[Event],
+        segmenter: &mut dyn Segmenter,
+    ) -> Result<Segmentation> {
+        let decoded =
+            segment(self.slices, decoded, segmenter).context("segments of the decoded events")?;
+        // In place of the masks of a slice without events.
+        let sensor = self.slices.sensor;
+        let none = Masks::new(sensor, &vec![0; sensor.pixels() as usize])?;
+        let (mut frames, mut foreground, mut mean) = (0, 0.0, 0.0);
+        let (mut rest_a, mut rest_b) = (self.masks.iter().peekable(), decoded.iter().peekable());
+        loop {
+            let order = match (rest_a.peek(), rest_b.peek()) {
+                (Some((a, _)), Some((b, _))) => a.cmp(b),
+                (Some(_), None) => Ordering::Less,
+                (None, Some(_)) => Ordering::Greater,
+                (None, None) => break,
+            };
+            let a = rest_a.next_if(|_| order.is_le()).map_or(&none, |(_, a)| a);
+            let b = rest_b.next_if(|_| order.is_ge()).map_or(&none, |(_, b)| b);
+            if a.segments() > 0 || b.segments() > 0 {
+                frames += 1;
+                foreground += foreground_iou(a, b)?;
+                mean += mean_iou(a, b)?;
+            }
+        }
+        let over_frames = |sum: f64| match frames {
+            0 => 1.0,
+            _ => sum / frames as f64,
+        };
+        Ok(Segmentation {
+            frames,
+            foreground_iou: over_frames(foreground),
+            mean_iou: over_frames(mean),
+        })
+    }
+}
+
+/// The masks of every slice with events.
+fn segment(
+    slices: Slices,
+    events: &[Event],
+    segmenter: &mut dyn Segmenter,
+) -> Result<Vec<(u64, Masks)>> {
+    let sorted = slices.sorted(events);
+    let mut all = Vec::new();
+    for batch in slices.cut(&sorted).chunks(BATCH) {
+        let frames: Vec<Frame> = batch
+            .iter()
+            .map(|(_, events)| Frame::new(slices.sensor, events))
+            .collect();
+        let masks = segmenter.segment_all(&frames)?;
+        ensure!(
+            masks.len() == frames.len(),
+            "the segmenter {} gave {} masks for {} frames",
+            segmenter.name(),
+            masks.len(),
+            frames.len()
+        );
+        all.extend(batch.iter().map(|(number, _)| *number).zip(masks));
+    }
+    Ok(all)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::downstream::segment::classical::Classical;
+    use crate::downstream::test_events::{jittered, shuffled};
+    use crate::scene::Preset;
+    use crate::source::WINDOW_US;
+
+    fn source() -> Source {
+        Source::scene(Preset::Motorcycle, 1, 200_000).unwrap()
+    }
+
+    #[test]
+    fn the_same_events_in_any_order_give_1() {
+        let source = source();
+        for slice_us in [WINDOW_US, WINDOW_US / 8] {
+            let shuffled = shuffled(&source.events);
+            let found = segmentation(&source, &shuffled, slice_us, &mut Classical).unwrap();
+            assert_eq!((found.foreground_iou, found.mean_iou), (1.0, 1.0));
+            // Every window of the scene has something that moves.
+            assert!(found.frames >= (200_000 / slice_us) as usize, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn the_more_times_move_the_less_segments_agree() {
+        let source = source();
+        let slice_us = WINDOW_US / 8;
+        let reference = SegmentationReference::new(&source, slice_us, &mut Classical).unwrap();
+        let [near, far] = [500, 5_000].map(|jitter_us| {
+            let decoded = jittered(&source.events, jitter_us);
+            reference.against(&decoded, &mut Classical).unwrap()
+        });
+        assert!(near.mean_iou < 1.0 && near.foreground_iou < 1.0, "{near:?}");
+        assert!(far.mean_iou < near.mean_iou, "{near:?} {far:?}");
+        assert!(far.foreground_iou < near.foreground_iou, "{near:?} {far:?}");
+    }
+
+    #[test]
+    fn nothing_and_strange_events_are_compared() {
+        let source = source();
+        let none = segmentation(&source, &[], WINDOW_US, &mut Classical).unwrap();
+        assert_eq!((none.foreground_iou, none.mean_iou), (0.0, 0.0));
+        let strange: Vec<Event> = source
+            .events
+            .iter()
+            .zip([0, 1, u64::MAX, u64::MAX / 2].into_iter().cycle())
+            .flat_map(|(event, t_us)| {
+                let x = u16::MAX - event.x;
+                [
+                    *event,
+                    Event { x, ..*event },
+                    Event {
+                        t_us: t_us | 1 << 40,
+                        ..*event
+                    },
+                ]
+            })
+            .collect();
+        let found = segmentation(&source, &strange, WINDOW_US, &mut Classical).unwrap();
+        assert_eq!((found.foreground_iou, found.mean_iou), (1.0, 1.0));
+    }
+
+    /// Answers with masks of another size.
+    struct Broken;
+
+    impl Segmenter for Broken {
+        fn name(&self) -> &str {
+            "broken"
+        }
+
+        fn segment(&mut self, _: &Frame) -> Result<Masks> {
+            let sensor = eecvs_nostd::Sensor {
+                width: 1,
+                height: 1,
+            };
+            Masks::new(sensor, &[1])
+        }
+    }
+
+    #[test]
+    fn errors_are_told() {
+        let source = source();
+        let error = segmentation(&source, &[], 0, &mut Classical).unwrap_err();
+        assert_eq!(error.to_string(), "a slice must be 1 us or longer");
+        assert!(segmentation(&source, &[], WINDOW_US, &mut Broken).is_err());
+    }
+}
