@@ -73,7 +73,7 @@ pub fn strips(
         clip: style.clip.saturating_mul(u32::from(layout.factor)),
         upscale: layout.upscale,
     };
-    let sums = |events| FrameSums::new(sensor, events).shrunk(layout.factor);
+    let sums = |events: &[Event]| FrameSums::new(sensor, events).shrunk(layout.factor);
     let original = sums(original);
     let panel = event_frame(&original, style);
     let (pitch, slot) = (panel.width() + 2 + MARGIN, panel.height() + 2 + BAR);

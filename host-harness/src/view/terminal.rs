@@ -335,7 +335,7 @@ mod tests {
         let mut out = Vec::new();
         let stop = Arc::default();
         let room = || Box::new(|| ROOM);
-        let mut screen = Box::new(Terminal::new(&mut out, 50, LOOK, room(), stop));
+        let mut screen = Box::new(Terminal::new(&mut out, 2, LOOK, room(), stop));
         screen.show(&tiny).unwrap();
         screen.show(&tiny).unwrap();
         screen.finish().unwrap();
