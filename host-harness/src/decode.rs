@@ -227,6 +227,48 @@ impl Windows {
     }
 }
 
+/// Finds the events of windows, whichever way they came.
+#[derive(Debug)]
+pub struct WindowEvents {
+    finder: Finder,
+    /// Tables that fitted the last window of coefficients.
+    decoder: Option<EventDecoder>,
+    by_time: ByTime,
+}
+
+impl WindowEvents {
+    /// `finder` is for windows of coefficients.
+    #[must_use]
+    pub fn new(finder: Finder) -> Self {
+        Self {
+            finder,
+            decoder: None,
+            by_time: ByTime::default(),
+        }
+    }
+
+    /// Leaves the window's events in it, in order of time; how sure the times are that were solved for.
+    pub fn fill(&mut self, window: &mut DecodedWindow) -> Confidences {
+        if !window.events.is_empty() {
+            self.by_time.sort(&window.header, &mut window.events);
+            return Confidences::default();
+        }
+        let decoder = match &mut self.decoder {
+            Some(decoder) if decoder.fits(window) => decoder,
+            _ => {
+                let Header {
+                    transform, grid, m, ..
+                } = window.header;
+                self.decoder
+                    .insert(EventDecoder::new(transform, grid, m, self.finder))
+            }
+        };
+        let confidences;
+        (window.events, confidences) = decoder.window_with_confidence(window);
+        confidences
+    }
+}
+
 /// What `eecvs decode` reports; the fields are its JSON keys.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct DecodeSummary {
@@ -264,34 +306,17 @@ pub fn decode<R: Read>(
     let mut summary = DecodeSummary::default();
     let mut decoding = Duration::ZERO;
     let mut writer: Option<Option<Box<dyn EventWriter>>> = None;
-    let mut decoder: Option<EventDecoder> = None;
-    let mut by_time = ByTime::default();
+    let mut events = WindowEvents::new(finder);
     while let Some(mut window) = windows.next_window()? {
         each(summary.windows, &window)?;
-        let header = &window.header;
         let output = match &mut writer {
             Some(output) => output,
-            None => writer.insert(create(header.sensor)?),
+            None => writer.insert(create(window.header.sensor)?),
         };
         summary.windows += 1;
         if let Some(output) = output {
             let started = Instant::now();
-            if window.events.is_empty() {
-                let decoder = match &mut decoder {
-                    Some(decoder) if decoder.fits(&window) => decoder,
-                    _ => {
-                        let Header {
-                            transform, grid, m, ..
-                        } = *header;
-                        decoder.insert(EventDecoder::new(transform, grid, m, finder))
-                    }
-                };
-                let confidences;
-                (window.events, confidences) = decoder.window_with_confidence(&window);
-                summary.confidences.add(confidences);
-            } else {
-                by_time.sort(header, &mut window.events);
-            }
+            summary.confidences.add(events.fill(&mut window));
             decoding += started.elapsed();
             output.write(&window.events)?;
             summary.events += window.events.len() as u64;

@@ -25,3 +25,4 @@ pub mod report;
 pub mod scene;
 pub mod source;
 pub mod thresholds_file;
+pub mod view;

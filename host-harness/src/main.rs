@@ -25,6 +25,7 @@ enum Command {
     Inspect(cmd::inspect::Inspect),
     Decode(cmd::decode::Decode),
     Compare(cmd::compare::Compare),
+    View(cmd::view::View),
     Mcu(cmd::mcu::Mcu),
     Bench(cmd::bench::Bench),
 }
@@ -42,6 +43,7 @@ fn main() -> ExitCode {
         Command::Inspect(command) => command.run(),
         Command::Decode(command) => command.run(),
         Command::Compare(command) => command.run(),
+        Command::View(command) => command.run(),
         Command::Mcu(command) => command.run(),
         Command::Bench(command) => command.run(),
     };

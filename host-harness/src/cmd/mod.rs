@@ -16,3 +16,4 @@ pub mod mcu;
 pub mod monitor;
 pub mod options;
 pub mod output;
+pub mod view;

@@ -9,9 +9,9 @@ use eecvs_nostd::{Event, Sensor};
 use super::picture::{CELL, Colour, Picture};
 
 const GROUND: Colour = [255, 255, 255];
-const PAPER: Colour = [244, 244, 242];
-const LINE: Colour = [150, 150, 150];
-const INK: Colour = [40, 40, 40];
+pub(super) const PAPER: Colour = [244, 244, 242];
+pub(super) const LINE: Colour = [150, 150, 150];
+pub(super) const INK: Colour = [40, 40, 40];
 /// From |sum| = 1 to the clip.
 const ON: [Colour; 2] = [[86, 160, 224], [4, 34, 94]];
 const OFF: [Colour; 2] = [[245, 155, 66], [112, 42, 0]];
@@ -47,7 +47,19 @@ impl FrameStyle {
         self.upscale.clamp(1, (SIDE_MAX / longer).max(1))
     }
 
-    fn colour(self, sum: i64) -> Colour {
+    /// Every colour of a [`strip`]: paper, lines and letters, then those of the sums from -clip to clip.
+    #[must_use]
+    pub fn palette(self) -> Vec<Colour> {
+        let clip = i64::from(self.clip.max(1));
+        [PAPER, LINE, INK]
+            .into_iter()
+            .chain((-clip..=clip).map(|sum| self.colour(sum)))
+            .collect()
+    }
+
+    /// The colour of a pixel whose polarities add up to `sum`.
+    #[must_use]
+    pub fn colour(self, sum: i64) -> Colour {
         let [light, dark] = match sum {
             0 => return GROUND,
             1.. => ON,
@@ -72,17 +84,68 @@ pub struct FrameSums {
 }
 
 impl FrameSums {
+    /// A frame without events.
+    #[must_use]
+    pub fn empty(sensor: Sensor) -> Self {
+        Self {
+            sensor,
+            sums: vec![0; sensor.pixels() as usize],
+        }
+    }
+
     /// Sums `events` in any order; one outside of `sensor` is left out of the picture.
     #[must_use]
     pub fn new(sensor: Sensor, events: &[Event]) -> Self {
-        let mut sums = vec![0; sensor.pixels() as usize];
-        for event in events.iter().filter(|e| sensor.contains(e.x, e.y)) {
-            let index = usize::from(event.y) * usize::from(sensor.width) + usize::from(event.x);
-            if let Some(sum) = sums.get_mut(index) {
-                *sum += i64::from(event.polarity.sign());
+        let mut frame = Self::empty(sensor);
+        events.iter().for_each(|event| frame.add(event));
+        frame
+    }
+
+    /// Adds an event; one outside of the sensor is left out.
+    pub fn add(&mut self, event: &Event) {
+        if !self.sensor.contains(event.x, event.y) {
+            return;
+        }
+        let number = self.sensor.number((event.x, event.y)) as usize;
+        if let Some(sum) = self.sums.get_mut(number) {
+            *sum += i64::from(event.polarity.sign());
+        }
+    }
+
+    /// Size of the frame.
+    #[must_use]
+    pub const fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    /// The sum of pixel (x, y); 0 outside.
+    #[must_use]
+    pub fn sum(&self, x: u16, y: u16) -> i64 {
+        if !self.sensor.contains(x, y) {
+            return 0;
+        }
+        let number = self.sensor.number((x, y)) as usize;
+        self.sums.get(number).copied().unwrap_or(0)
+    }
+
+    /// A smaller frame whose pixels are the sums of `factor` x `factor` pixels each, fewer at the right
+    /// and lower borders; a factor of 0 is one of 1.
+    #[must_use]
+    pub fn shrunk(&self, factor: u16) -> Self {
+        let factor = factor.max(1);
+        let mut shrunk = Self::empty(Sensor {
+            width: self.sensor.width.div_ceil(factor),
+            height: self.sensor.height.div_ceil(factor),
+        });
+        let (from, to) = (usize::from(self.sensor.width), shrunk.sensor.width);
+        for (y, row) in self.sums.chunks(from.max(1)).enumerate() {
+            let start = y / usize::from(factor) * usize::from(to);
+            let target = shrunk.sums.get_mut(start..).unwrap_or_default();
+            for (pixels, sum) in row.chunks(usize::from(factor)).zip(target) {
+                *sum += pixels.iter().sum::<i64>();
             }
         }
-        Self { sensor, sums }
+        shrunk
     }
 
     /// This frame minus `other` of the same sensor: ON where this one has more.
@@ -170,13 +233,19 @@ fn legend_labels(style: FrameStyle) -> (String, String) {
     (format!("OFF -{clip}"), format!("+{clip} ON"))
 }
 
-fn legend_width(style: FrameStyle, scale: usize) -> usize {
+pub(super) fn legend_width(style: FrameStyle, scale: usize) -> usize {
     let (left, right) = legend_labels(style);
     let swatches = (2 * legend_steps(style) + 1) as usize;
     (left.len() + right.len() + 2 + swatches) * CELL * scale
 }
 
-fn draw_legend(canvas: &mut Picture, x: usize, y: usize, style: FrameStyle, scale: usize) {
+pub(super) fn draw_legend(
+    canvas: &mut Picture,
+    x: usize,
+    y: usize,
+    style: FrameStyle,
+    scale: usize,
+) {
     let cell = CELL * scale;
     let (left, right) = legend_labels(style);
     let steps = legend_steps(style);
@@ -266,6 +335,42 @@ mod tests {
         let b = FrameSums::new(SENSOR, &events(1, 1, Polarity::On, 1));
         assert!(a.minus(&a).sums.iter().all(|sum| *sum == 0));
         assert_eq!(b.minus(&a).sums[5], -2);
+    }
+
+    #[test]
+    fn a_shrunk_frame_sums_squares() {
+        let mut all = events(0, 0, Polarity::On, 3);
+        all.extend(events(2, 1, Polarity::Off, 1));
+        all.extend(events(3, 0, Polarity::Off, 2));
+        all.extend(events(3, 2, Polarity::On, 1));
+        let frame = FrameSums::new(SENSOR, &all);
+        let shrunk = frame.shrunk(2);
+        assert_eq!((shrunk.sensor.width, shrunk.sensor.height), (2, 2));
+        assert_eq!(shrunk.sums, [3, -3, 0, 1]);
+        assert_eq!(frame.shrunk(3).sums, [2, -1]);
+        assert_eq!(frame.shrunk(u16::MAX).sums, [1]);
+        for factor in [0, 1] {
+            assert_eq!(frame.shrunk(factor), frame);
+        }
+        assert_eq!((frame.sum(3, 0), frame.sum(4, 0)), (-2, 0));
+    }
+
+    #[test]
+    fn the_palette_has_every_colour_of_a_strip() {
+        let style = FrameStyle {
+            clip: 3,
+            upscale: 40,
+        };
+        let frame = FrameSums::new(SENSOR, &events(1, 1, Polarity::Off, 2));
+        let picture = comparison_strip(&frame, &FrameSums::empty(SENSOR), style);
+        let palette = style.palette();
+        assert_eq!(palette.len(), 3 + 7);
+        for y in 0..picture.height() {
+            for x in 0..picture.width() {
+                let colour = picture.pixel(x, y).unwrap();
+                assert!(palette.contains(&colour), "{x},{y}: {colour:?}");
+            }
+        }
     }
 
     #[test]

@@ -12,3 +12,4 @@ pub mod picture_backend;
 pub mod rate_chart;
 pub mod rate_table;
 pub mod skip_table;
+pub mod strips;

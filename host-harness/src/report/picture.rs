@@ -53,6 +53,12 @@ impl Picture {
         self.rgb.get(start..start + 3)?.try_into().ok()
     }
 
+    /// Every pixel's colour, row by row.
+    pub fn pixels(&self) -> impl Iterator<Item = Colour> + '_ {
+        let (pixels, _) = self.rgb.as_chunks();
+        pixels.iter().copied()
+    }
+
     /// Fills the rectangle of `width` x `height` whose upper left corner is (x, y).
     pub fn fill(&mut self, x: usize, y: usize, width: usize, height: usize, colour: Colour) {
         let end = (x + width).min(self.width);

@@ -1,0 +1,444 @@
+//! `eecvs view`: a recording or frames as moving pictures, original beside decoded.
+
+use std::io::{IsTerminal, stdout};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Args;
+use clap::error::ErrorKind;
+use eecvs_nostd::Sensor;
+use serde::Serialize;
+
+use super::options::SizeOptions;
+use super::output::{print, print_json, rows};
+use crate::output_file::refuse_same_file;
+use crate::progress::Progress;
+use crate::report::frame_picture::FrameStyle;
+use crate::view::frames::Frames;
+use crate::view::gif::{self, Gif};
+use crate::view::input::Input;
+use crate::view::picture::{Look, default_upscale};
+use crate::view::png::Pngs;
+use crate::view::slices::{Grid, Slices};
+use crate::view::terminal::{self, Room, Terminal, Text};
+use crate::view::{Played, Screen, play};
+
+/// Play a recording or frames, original beside decoded
+///
+/// A frame is the sum of the polarities of a slice of time per pixel: ON is blue, OFF orange, and the more
+/// the darker. With two files the frames are: original, decoded, and what is more in the decoded one. The
+/// slices of both are the same ones, by their own event times, and begin at --from-us or else at the first
+/// event of FILE. Of a stretch without events one second of playing is shown.
+#[derive(Debug, Args)]
+pub struct View {
+    /// Recording of any format, or file of frames
+    file: PathBuf,
+
+    /// Recording or file of frames to show beside it, e.g. what `eecvs encode` made of it
+    #[arg(value_name = "DECODED")]
+    decoded: Option<PathBuf>,
+
+    /// Write an animated GIF (OUT.gif), the first frame (OUT.png), or every frame as a PNG in a folder
+    /// (OUT/) instead of playing in the terminal
+    #[arg(short, long, value_name = "OUT")]
+    output: Option<PathBuf>,
+
+    /// Seconds of the recording that a second shows
+    #[arg(long, value_name = "S", default_value = "0.1", value_parser = speed,
+          conflicts_with = "slice_us")]
+    speed: f64,
+
+    /// Frames a second
+    #[arg(long, value_name = "N", default_value = "30",
+          value_parser = clap::value_parser!(u32).range(1..=240))]
+    fps: u32,
+
+    /// Time that a frame sums, in microseconds, in place of --speed [default: speed / fps]
+    #[arg(long, value_name = "T", value_parser = clap::value_parser!(u64).range(1..))]
+    slice_us: Option<u64>,
+
+    /// Only events at or after this time of the recording, in microseconds
+    #[arg(long, value_name = "T")]
+    from_us: Option<u64>,
+
+    /// Only events before this time of the recording, in microseconds
+    #[arg(long, value_name = "T")]
+    to_us: Option<u64>,
+
+    /// The first N frames alone
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    frames: Option<u64>,
+
+    /// |sum| of the darkest colour
+    #[arg(long, value_name = "N", default_value = "4",
+          value_parser = clap::value_parser!(u32).range(1..=100))]
+    clip: u32,
+
+    /// Side of the square that a pixel of the sensor becomes in a picture [default: as makes a picture
+    /// 480 wide or more]
+    #[arg(long, value_name = "N", requires = "output",
+          value_parser = clap::value_parser!(u16).range(1..=64))]
+    upscale: Option<u16>,
+
+    /// Columns of the terminal to use; where stdout is none, frames are written as text one below the other
+    #[arg(long, value_name = "N", conflicts_with = "output",
+          value_parser = clap::value_parser!(u16).range(1..=4096))]
+    columns: Option<u16>,
+
+    #[command(flatten)]
+    size: SizeOptions,
+
+    /// Print one JSON object instead of the table of what was written
+    #[arg(long, requires = "output")]
+    json: bool,
+}
+
+/// What was written; the fields are JSON keys.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+struct Summary {
+    /// Frames.
+    frames: u64,
+    /// What each sums, in us.
+    slice_us: u64,
+    /// Start of slice 0 in us of the recording.
+    from_us: u64,
+    /// Events of FILE in the frames.
+    events: u64,
+    /// Events of DECODED in the frames.
+    decoded_events: u64,
+    /// Time without events that was left out, in us.
+    skipped_us: u64,
+}
+
+fn speed(text: &str) -> Result<f64> {
+    let speed: f64 = text.parse().context("it is no number")?;
+    ensure!(
+        (1e-6..=1e6).contains(&speed),
+        "it must be from 0.000001 to 1000000"
+    );
+    Ok(speed)
+}
+
+impl View {
+    /// Plays up to the end, or until Ctrl-C, which leaves a written file whole.
+    ///
+    /// # Errors
+    /// A file that cannot be read or has no events, an output that cannot be written, no terminal and no
+    /// output.
+    pub fn run(self) -> Result<()> {
+        if let (Some(from), Some(to)) = (self.from_us, self.to_us)
+            && from > to
+        {
+            let message = format!("--from-us {from} is after --to-us {to}\n");
+            clap::Command::new("eecvs view")
+                .error(ErrorKind::ValueValidation, message)
+                .exit();
+        }
+        let name = self.file.display();
+        ensure!(
+            self.output.is_some() || self.columns.is_some() || stdout().is_terminal(),
+            "{name}: stdout is no terminal: give -o OUT.gif, OUT.png or OUT/, or --columns N"
+        );
+        if let Some(output) = &self.output {
+            for input in [Some(&self.file), self.decoded.as_ref()]
+                .into_iter()
+                .flatten()
+            {
+                refuse_same_file(input, output)?;
+            }
+        }
+        let size = self.size.sensor();
+        let original = Input::open(&self.file, size)?;
+        let decoded = match &self.decoded {
+            Some(path) => Some(Input::open(path, size)?),
+            None => None,
+        };
+        let first_us = original
+            .first_us()
+            .or_else(|| decoded.as_ref().and_then(Input::first_us));
+        let sensor = decoded.as_ref().map_or(original.sensor(), |decoded| {
+            larger(original.sensor(), decoded.sensor())
+        });
+        let grid = Grid {
+            from_us: self.from_us.or(first_us).unwrap_or(0),
+            to_us: self.to_us,
+            slice_us: self.slice_us(),
+        };
+        let stop = stop_on_signals()?;
+        // The screen first: a terminal or a name that cannot be used shows before a long search.
+        let origin_us = first_us.unwrap_or(grid.from_us);
+        let panels = if decoded.is_some() { 3 } else { 1 };
+        let screen = self.screen(sensor, panels, origin_us, &stop)?;
+        let slices = |input| Slices::new(input, grid, sensor, Arc::clone(&stop));
+        let empty_max = u64::from(self.fps);
+        let mut frames = Frames::new(grid, empty_max, slices(original), decoded.map(slices));
+        let limit = if self.is_one_picture() {
+            1
+        } else {
+            self.frames.unwrap_or(u64::MAX)
+        };
+        let progress = Progress::new("frames");
+        let played = play(&mut frames, screen, limit, &stop, &mut |count| {
+            // In the terminal there is a line in words below the frames.
+            if self.output.is_some() {
+                progress.set(count);
+            }
+        })?;
+        drop(progress);
+        self.warn(&frames, &played);
+        if let Some(failure) = played.failure {
+            return Err(failure);
+        }
+        let is_stopped = stop.load(Ordering::Relaxed);
+        ensure!(
+            played.frames > 0 || is_stopped,
+            "{name}: no events{}",
+            if self.from_us.is_some() || self.to_us.is_some() {
+                " at these times: `eecvs info` tells the first and the last"
+            } else {
+                ""
+            }
+        );
+        if self.output.is_none() {
+            return Ok(());
+        }
+        let summary = Summary {
+            frames: played.frames,
+            slice_us: grid.slice_us,
+            from_us: grid.from_us,
+            events: played.events,
+            decoded_events: played.decoded_events,
+            skipped_us: frames.skipped_us(),
+        };
+        if self.json {
+            print_json(&summary)
+        } else {
+            print(&table(&summary, self.decoded.is_some()))
+        }
+    }
+
+    fn slice_us(&self) -> u64 {
+        // The ranges of both make it 1e12 at the most.
+        let by_speed = (self.speed * 1e6 / f64::from(self.fps)).round() as u64;
+        self.slice_us.unwrap_or(by_speed).max(1)
+    }
+
+    fn ending(&self) -> String {
+        let ending = self.output.as_deref().and_then(Path::extension);
+        ending
+            .unwrap_or_default()
+            .to_string_lossy()
+            .to_ascii_lowercase()
+    }
+
+    fn is_folder(&self) -> bool {
+        self.output.as_deref().is_some_and(|path| {
+            let ends_so = path.to_string_lossy().ends_with(std::path::is_separator);
+            ends_so || path.is_dir()
+        })
+    }
+
+    fn is_one_picture(&self) -> bool {
+        !self.is_folder() && self.ending() == "png"
+    }
+
+    fn screen(
+        &self,
+        sensor: Sensor,
+        panels: usize,
+        origin_us: u64,
+        stop: &Arc<AtomicBool>,
+    ) -> Result<Box<dyn Screen>> {
+        let Some(output) = &self.output else {
+            let look = terminal::Look {
+                clip: self.clip,
+                origin_us,
+            };
+            let columns = self.columns.map(usize::from);
+            if let Some(columns) = columns.filter(|_| !stdout().is_terminal()) {
+                return Ok(Box::new(Text::new(stdout(), look, columns)));
+            }
+            let room = Box::new(move || room(columns));
+            let stop = Arc::clone(stop);
+            return Ok(Box::new(Terminal::new(
+                stdout(),
+                self.fps,
+                look,
+                room,
+                stop,
+            )));
+        };
+        let upscale = match self.upscale {
+            Some(upscale) => usize::from(upscale),
+            None => default_upscale(sensor, panels),
+        };
+        let look = Look {
+            style: FrameStyle {
+                clip: self.clip,
+                upscale,
+            },
+            origin_us,
+        };
+        if self.is_folder() {
+            return Ok(Box::new(Pngs::folder(output, look)?));
+        }
+        match self.ending().as_str() {
+            "gif" => {
+                ensure!(
+                    self.fps <= gif::FPS_MAX,
+                    "{}: browsers show a GIF at {} frames a second at the most: give a smaller --fps",
+                    output.display(),
+                    gif::FPS_MAX
+                );
+                Ok(Box::new(Gif::new(output, self.fps, look)))
+            }
+            "png" => Ok(Box::new(Pngs::file(output, look))),
+            _ => bail!(
+                "{}: give a name that ends in .gif or .png, or a folder, which ends in /",
+                output.display()
+            ),
+        }
+    }
+
+    /// What of the inputs was not shown, a line each.
+    fn warn(&self, frames: &Frames, played: &Played) {
+        let inputs = [
+            (Some(&self.file), Some(frames.original())),
+            (self.decoded.as_ref(), frames.decoded()),
+        ];
+        for (path, slices) in inputs {
+            let (Some(path), Some(slices)) = (path, slices) else {
+                continue;
+            };
+            let name = path.display();
+            if let Some(warning) = slices.input().warning() {
+                eprintln!("eecvs: {name}: {warning}");
+            }
+            for (count, what) in [
+                (slices.late(), "are too far out of time order to be shown"),
+                (slices.outside(), "lie outside of the sensor"),
+            ] {
+                if count > 0 {
+                    eprintln!("eecvs: {name}: {count} events {what}");
+                }
+            }
+        }
+        if let Some(decoded) = &self.decoded
+            && frames.shared() == 0
+            && played.frames > 0
+        {
+            eprintln!(
+                "eecvs: {}: no frame has events of both files: their clocks differ, or they are of \
+                 different times",
+                decoded.display()
+            );
+        }
+    }
+}
+
+/// Where the sensors differ, as of text without a header, frames have the larger sides.
+fn larger(a: Sensor, b: Sensor) -> Sensor {
+    Sensor {
+        width: a.width.max(b.width),
+        height: a.height.max(b.height),
+    }
+}
+
+/// The terminal's size, its width unless `columns` are given.
+fn room(columns: Option<usize>) -> Room {
+    let (height, width) = console::Term::stdout().size_checked().unwrap_or((24, 80));
+    Room {
+        columns: columns.unwrap_or(usize::from(width)),
+        rows: Some(usize::from(height)),
+    }
+}
+
+/// Set by Ctrl-C and termination signals; the second ends the process at once.
+fn stop_on_signals() -> Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let wish = Arc::clone(&stop);
+    ctrlc::set_handler(move || {
+        if wish.swap(true, Ordering::Relaxed) {
+            std::process::exit(1);
+        }
+    })
+    .context("handling Ctrl-C")?;
+    Ok(stop)
+}
+
+fn table(summary: &Summary, has_decoded: bool) -> String {
+    let mut lines = vec![
+        ("frames", summary.frames.to_string()),
+        ("  each of", format!("{} us", summary.slice_us)),
+        ("  from", format!("{} us", summary.from_us)),
+        ("events", summary.events.to_string()),
+    ];
+    if has_decoded {
+        lines.push(("events decoded", summary.decoded_events.to_string()));
+    }
+    let skipped = format!("{} us", summary.skipped_us);
+    lines.push(("left out without events", skipped));
+    rows(lines)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        view: View,
+    }
+
+    fn parse(line: &str) -> Result<View, clap::Error> {
+        Command::try_parse_from(line.split(' ')).map(|command| command.view)
+    }
+
+    #[test]
+    fn a_slice_is_what_a_frame_has_time_for() {
+        for (line, slice_us) in [
+            ("x a", 3_333),
+            ("x a --speed 1 --fps 50", 20_000),
+            ("x a --slice-us 7 --fps 50", 7),
+            ("x a --speed 0.000001", 1),
+        ] {
+            assert_eq!(parse(line).unwrap().slice_us(), slice_us, "{line}");
+        }
+    }
+
+    #[test]
+    fn outputs_are_told_by_their_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let existing = folder.path().join("x.png");
+        std::fs::create_dir(&existing).unwrap();
+        let line = format!("x a -o {}", existing.display());
+        let view = parse(&line).unwrap();
+        assert!(view.is_folder() && !view.is_one_picture());
+        assert!(parse("x a -o new/").unwrap().is_folder());
+        assert!(parse("x a -o new.PNG").unwrap().is_one_picture());
+        assert!(!parse("x a -o new.gif").unwrap().is_one_picture());
+    }
+
+    #[test]
+    fn usage_is_checked() {
+        for wrong in [
+            "x",
+            "x a --speed 0",
+            "x a --speed nan",
+            "x a --speed 1 --slice-us 5",
+            "x a --fps 0",
+            "x a --upscale 2",
+            "x a --json",
+            "x a --columns 80 -o b.gif",
+            "x a --frames 0",
+            "x a --clip 101 -o b.gif",
+        ] {
+            assert!(parse(wrong).is_err(), "{wrong}");
+        }
+    }
+}

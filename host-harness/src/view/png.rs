@@ -1,0 +1,96 @@
+//! Frames -> PNG files: one, or a folder of numbered ones.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+
+use super::Screen;
+use super::frames::Frame;
+use super::picture::{Look, picture};
+use crate::output_file::OutputFile;
+
+/// Where pictures go.
+#[derive(Debug)]
+pub struct Pngs {
+    place: Place,
+    look: Look,
+    frames: u64,
+}
+
+#[derive(Debug)]
+enum Place {
+    File(PathBuf),
+    Folder(PathBuf),
+}
+
+impl Pngs {
+    /// Each frame replaces the one before: meant for one frame.
+    #[must_use]
+    pub fn file(path: &Path, look: Look) -> Self {
+        Self {
+            place: Place::File(path.to_owned()),
+            look,
+            frames: 0,
+        }
+    }
+
+    /// Pictures `frame_000000.png` and so on; the folder is made where there is none.
+    ///
+    /// # Errors
+    /// A folder that cannot be made; the message names it.
+    pub fn folder(path: &Path, look: Look) -> Result<Self> {
+        std::fs::create_dir_all(path)
+            .with_context(|| format!("{}: cannot make the folder", path.display()))?;
+        Ok(Self {
+            place: Place::Folder(path.to_owned()),
+            look,
+            frames: 0,
+        })
+    }
+}
+
+impl Screen for Pngs {
+    fn show(&mut self, frame: &Frame) -> Result<()> {
+        let path = match &self.place {
+            Place::File(path) => path.clone(),
+            Place::Folder(path) => path.join(format!("frame_{:06}.png", self.frames)),
+        };
+        let png = picture(frame, self.look).png()?;
+        let mut file = OutputFile::create(&path)?;
+        file.write_all(&png)?;
+        file.finish()?;
+        self.frames += 1;
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>) -> Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::view::picture::tests::{LOOK, frame};
+
+    #[test]
+    fn a_folder_gets_numbered_pictures() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/frames");
+        let mut screen = Box::new(Pngs::folder(&path, LOOK).unwrap());
+        let frames = [frame((3, 2), Some((1, 1))), frame((4, 4), None)];
+        for frame in &frames {
+            screen.show(frame).unwrap();
+        }
+        screen.finish().unwrap();
+        for (i, frame) in frames.iter().enumerate() {
+            let bytes = std::fs::read(path.join(format!("frame_00000{i}.png"))).unwrap();
+            assert!(bytes == picture(frame, LOOK).png().unwrap());
+        }
+        let file = folder.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        let error = Pngs::folder(&file.join("x"), LOOK).unwrap_err();
+        assert!(format!("{error:#}").contains("file"), "{error:#}");
+    }
+}

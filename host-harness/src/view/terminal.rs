@@ -1,0 +1,404 @@
+//! Frames -> a terminal: two pixels a character, in 24-bit colour, scaled down by summing.
+
+use std::fmt::Write as _;
+use std::io::Write;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+
+use super::Screen;
+use super::frames::Frame;
+use super::pace::{Pace, Turn};
+use super::picture::milliseconds;
+use crate::report::frame_picture::FrameStyle;
+use crate::report::picture::Colour;
+
+/// Upper half in the foreground's colour, lower half in the background's.
+const HALVES: char = '\u{2580}';
+/// Columns between panels.
+const BETWEEN: usize = 2;
+/// A wish to stop is seen within this time.
+const NAP: Duration = Duration::from_millis(20);
+
+const HIDE_CURSOR: &str = "\x1b[?25l";
+const SHOW_CURSOR: &str = "\x1b[?25h";
+const CLEAR: &str = "\x1b[2J";
+const HOME: &str = "\x1b[H";
+const CLEAR_LINE: &str = "\x1b[K";
+const CLEAR_BELOW: &str = "\x1b[J";
+const PLAIN: &str = "\x1b[0m";
+
+/// Room for a frame, in characters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Room {
+    /// Columns.
+    pub columns: usize,
+    /// Rows; as many as are needed where it is `None`.
+    pub rows: Option<usize>,
+}
+
+/// The lines of a frame: captions where there is a second input, pixels, and a line in words. Each is
+/// `room.columns` wide or less.
+///
+/// A pixel is the sum of as many of the sensor's as makes the frame fit, of s x s; the darkest colour
+/// then stands for `clip` s.
+#[must_use]
+pub fn lines(frame: &Frame, room: Room, clip: u32, origin_us: u64) -> Vec<String> {
+    let difference = frame
+        .decoded
+        .as_ref()
+        .map(|decoded| decoded.minus(&frame.original));
+    let mut panels = vec![("original", &frame.original)];
+    if let (Some(decoded), Some(difference)) = (&frame.decoded, &difference) {
+        panels.push(("decoded", decoded));
+        panels.push(("decoded - original", difference));
+    }
+    let count = panels.len();
+    let words = if count > 1 { 2 } else { 1 };
+    let columns = (room.columns.saturating_sub(BETWEEN * (count - 1)) / count).max(1);
+    let rows = room.rows.map(|rows| rows.saturating_sub(words).max(1));
+    let sensor = frame.original.sensor();
+    let across = usize::from(sensor.width).div_ceil(columns);
+    let down = rows.map_or(1, |rows| usize::from(sensor.height).div_ceil(2 * rows));
+    // No side is above 2048.
+    let factor = across.max(down).max(1) as u16;
+    let style = FrameStyle {
+        clip: clip.saturating_mul(u32::from(factor)),
+        upscale: 1,
+    };
+    let shrunk: Vec<_> = panels.iter().map(|(_, sums)| sums.shrunk(factor)).collect();
+    let (width, height) = shrunk
+        .first()
+        .map_or((0, 0), |sums| (sums.sensor().width, sums.sensor().height));
+
+    let mut lines = Vec::new();
+    if count > 1 {
+        let pitch = usize::from(width) + BETWEEN;
+        let captions = panels.iter().map(|(caption, _)| {
+            // One character at the least stays free before the next caption.
+            let letters: String = caption.chars().take(pitch - 1).collect();
+            format!("{letters:<pitch$}")
+        });
+        let captions: String = captions.collect();
+        lines.push(cut(captions.trim_end(), room.columns));
+    }
+    for y in (0..height).step_by(2) {
+        let mut line = Line::default();
+        for (number, sums) in shrunk.iter().enumerate() {
+            if number > 0 {
+                line.gap();
+            }
+            for x in 0..width {
+                let upper = style.colour(sums.sum(x, y));
+                // Below an odd number of rows there is nothing.
+                let lower = (y + 1 < height).then(|| style.colour(sums.sum(x, y + 1)));
+                line.pixels(upper, lower);
+            }
+        }
+        lines.push(line.end());
+    }
+    let mut said = milliseconds(frame.start_us, origin_us);
+    let _ = write!(said, "  events {}", frame.events);
+    if frame.decoded.is_some() {
+        let _ = write!(said, "  decoded {}", frame.decoded_events);
+    }
+    if frame.skipped_us > 0 {
+        let skipped = milliseconds(frame.skipped_us, 0);
+        let _ = write!(said, "  after {skipped} without events");
+    }
+    lines.push(cut(&said, room.columns));
+    lines
+}
+
+fn cut(text: &str, columns: usize) -> String {
+    text.chars().take(columns).collect()
+}
+
+/// Characters with their colours, which are told where they change.
+#[derive(Debug, Default)]
+struct Line {
+    text: String,
+    upper: Option<Colour>,
+    lower: Option<Colour>,
+}
+
+impl Line {
+    fn pixels(&mut self, upper: Colour, lower: Option<Colour>) {
+        if lower.is_none() && self.lower.is_some() {
+            self.text += PLAIN;
+            (self.upper, self.lower) = (None, None);
+        }
+        if self.upper != Some(upper) {
+            let [r, g, b] = upper;
+            let _ = write!(self.text, "\x1b[38;2;{r};{g};{b}m");
+            self.upper = Some(upper);
+        }
+        if let Some([r, g, b]) = lower.filter(|_| self.lower != lower) {
+            let _ = write!(self.text, "\x1b[48;2;{r};{g};{b}m");
+            self.lower = lower;
+        }
+        self.text.push(HALVES);
+    }
+
+    fn gap(&mut self) {
+        self.text += PLAIN;
+        self.text.extend(std::iter::repeat_n(' ', BETWEEN));
+        (self.upper, self.lower) = (None, None);
+    }
+
+    fn end(mut self) -> String {
+        self.text += PLAIN;
+        self.text
+    }
+}
+
+/// How frames are shown in a terminal.
+#[derive(Debug, Clone, Copy)]
+pub struct Look {
+    /// |sum| of the darkest colour where a pixel is one of the sensor's.
+    pub clip: u32,
+    /// Time of 0, in us of the recording.
+    pub origin_us: u64,
+}
+
+/// A terminal in which each frame takes the place of the one before, at its time.
+pub struct Terminal<W: Write> {
+    out: W,
+    look: Look,
+    /// The room there is now: a terminal may change its size.
+    room: Box<dyn FnMut() -> Room>,
+    last_room: Option<Room>,
+    pace: Pace,
+    stop: Arc<AtomicBool>,
+}
+
+impl<W: Write> Terminal<W> {
+    /// Shows `fps` frames a second; `room` is asked before each.
+    pub fn new(
+        out: W,
+        fps: u32,
+        look: Look,
+        room: Box<dyn FnMut() -> Room>,
+        stop: Arc<AtomicBool>,
+    ) -> Self {
+        Self {
+            out,
+            look,
+            room,
+            last_room: None,
+            pace: Pace::new(fps),
+            stop,
+        }
+    }
+
+    /// Waits, unless it is asked to stop.
+    fn wait(&self, time: Duration) {
+        let end = Instant::now() + time;
+        while !self.stop.load(Ordering::Relaxed) {
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                break;
+            }
+            std::thread::sleep(left.min(NAP));
+        }
+    }
+
+    fn put(&mut self, text: &str) -> std::io::Result<()> {
+        self.out.write_all(text.as_bytes())?;
+        self.out.flush()
+    }
+}
+
+impl<W: Write> Screen for Terminal<W> {
+    fn show(&mut self, frame: &Frame) -> Result<()> {
+        match self.pace.turn(Instant::now()) {
+            Turn::Skip => return Ok(()),
+            Turn::After(time) => self.wait(time),
+        }
+        let room = (self.room)();
+        let mut text = String::new();
+        if self.last_room.is_none() {
+            text += HIDE_CURSOR;
+        }
+        if self.last_room.replace(room) != Some(room) {
+            text += CLEAR;
+        }
+        text += HOME;
+        let lines = lines(frame, room, self.look.clip, self.look.origin_us);
+        // No line feed after the last: a full screen would move up.
+        text += &lines.join(&format!("{CLEAR_LINE}\n"));
+        text += CLEAR_LINE;
+        text += CLEAR_BELOW;
+        self.put(&text).context("stdout")
+    }
+
+    fn finish(self: Box<Self>) -> Result<()> {
+        // Dropping it gives the terminal back.
+        Ok(())
+    }
+}
+
+impl<W: Write> Drop for Terminal<W> {
+    fn drop(&mut self) {
+        if self.last_room.is_some() {
+            // A terminal that is gone needs nothing back.
+            let _ = self.put(&format!("{PLAIN}{SHOW_CURSOR}\n"));
+        }
+    }
+}
+
+/// Frames one below the other, each as soon as it is there, for what is no terminal.
+#[derive(Debug)]
+pub struct Text<W: Write> {
+    out: W,
+    look: Look,
+    columns: usize,
+}
+
+impl<W: Write> Text<W> {
+    /// Lines of `columns` characters or less.
+    pub const fn new(out: W, look: Look, columns: usize) -> Self {
+        Self { out, look, columns }
+    }
+}
+
+impl<W: Write> Screen for Text<W> {
+    fn show(&mut self, frame: &Frame) -> Result<()> {
+        let room = Room {
+            columns: self.columns,
+            rows: None,
+        };
+        let lines = lines(frame, room, self.look.clip, self.look.origin_us);
+        let text = lines.join("\n") + "\n";
+        let written = self.out.write_all(text.as_bytes());
+        written.and_then(|()| self.out.flush()).context("stdout")
+    }
+
+    fn finish(self: Box<Self>) -> Result<()> {
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_nostd::Sensor;
+
+    use super::*;
+    use crate::metrics::memory_reader::event;
+    use crate::report::frame_picture::FrameSums;
+
+    const LOOK: Look = Look {
+        clip: 4,
+        origin_us: 1_000,
+    };
+    const ROOM: Room = Room {
+        columns: 80,
+        rows: Some(24),
+    };
+
+    fn frame(width: u16, height: u16, pixels: &[(u16, u16, bool)], two: bool) -> Frame {
+        let sensor = Sensor::new(width, height).unwrap();
+        let events: Vec<_> = pixels
+            .iter()
+            .map(|(x, y, on)| event(0, *x, *y, *on))
+            .collect();
+        Frame {
+            start_us: 3_333,
+            events: events.len() as u64,
+            decoded_events: 0,
+            original: FrameSums::new(sensor, &events),
+            decoded: two.then(|| FrameSums::empty(sensor)),
+            skipped_us: 0,
+        }
+    }
+
+    /// Characters that a terminal shows of a line.
+    fn shown(line: &str) -> String {
+        let mut parts = line.split('\x1b');
+        let first = parts.next().unwrap().to_owned();
+        let rest = parts.map(|part| part.split_once(['m', 'K', 'J', 'H', 'l', 'h']).unwrap().1);
+        first + &rest.collect::<String>()
+    }
+
+    #[test]
+    fn a_tiny_frame_is_shown_so() {
+        let tiny = frame(2, 3, &[(0, 0, true), (1, 1, false), (1, 2, false)], false);
+        let expected = [
+            "\x1b[38;2;86;160;224m\x1b[48;2;255;255;255m\u{2580}\
+             \x1b[38;2;255;255;255m\x1b[48;2;245;155;66m\u{2580}\x1b[0m",
+            "\x1b[38;2;255;255;255m\u{2580}\x1b[38;2;245;155;66m\u{2580}\x1b[0m",
+            "2.333 ms  events 3",
+        ];
+        assert_eq!(lines(&tiny, ROOM, 4, 1_000), expected);
+        let mut out = Vec::new();
+        let stop = Arc::default();
+        let room = || Box::new(|| ROOM);
+        let mut screen = Box::new(Terminal::new(&mut out, 2, LOOK, room(), stop));
+        screen.show(&tiny).unwrap();
+        screen.show(&tiny).unwrap();
+        screen.finish().unwrap();
+        let once = format!("\x1b[H{}\x1b[K\x1b[J", expected.join("\x1b[K\n"));
+        let all = format!("\x1b[?25l\x1b[2J{once}{once}\x1b[0m\x1b[?25h\n");
+        assert_eq!(String::from_utf8(out).unwrap(), all);
+    }
+
+    #[test]
+    fn frames_fit_the_room() {
+        for (width, height, two) in [(1280, 720, true), (34, 34, true), (2048, 1, false)] {
+            let frame = frame(width, height, &[(1, 0, true)], two);
+            for (columns, rows) in [(80, 24), (1, 1), (10, 3), (237, 61)] {
+                let room = Room {
+                    columns,
+                    rows: Some(rows),
+                };
+                let lines = lines(&frame, room, 4, 0);
+                let words = if two { 2 } else { 1 };
+                assert!(lines.len() <= rows.max(words + 1), "{width} {rows}");
+                // Three panels of a column each, and what is between them.
+                let least = if two { 7 } else { 1 };
+                for line in &lines {
+                    let count = shown(line).chars().count();
+                    assert!(count <= columns.max(least), "{width} {columns} {count}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn scaling_down_sums() {
+        let room = Room {
+            columns: 2,
+            rows: None,
+        };
+        // In the left half +2 in all, in the right one none.
+        let pixels = [(0, 0, true), (1, 1, true), (2, 0, true), (3, 1, false)];
+        let lines = lines(&frame(4, 2, &pixels, false), room, 1, 0);
+        let style = FrameStyle {
+            clip: 2,
+            upscale: 1,
+        };
+        let [r, g, b] = style.colour(2);
+        let expected =
+            format!("\x1b[38;2;{r};{g};{b}m\u{2580}\x1b[38;2;255;255;255m\u{2580}\x1b[0m");
+        assert_eq!(lines, [expected.as_str(), "3."]);
+    }
+
+    #[test]
+    fn a_reader_that_has_seen_enough_is_told_as_such() {
+        struct Closed;
+        impl Write for Closed {
+            fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+                Err(std::io::ErrorKind::BrokenPipe.into())
+            }
+            fn flush(&mut self) -> std::io::Result<()> {
+                Ok(())
+            }
+        }
+        let frame = frame(2, 2, &[], false);
+        let error = Text::new(Closed, LOOK, 80).show(&frame).unwrap_err();
+        let io = error.downcast_ref::<std::io::Error>().unwrap();
+        assert_eq!(io.kind(), std::io::ErrorKind::BrokenPipe);
+    }
+}
