@@ -109,9 +109,19 @@ impl Hdf5 {
         &self.name
     }
 
-    /// The dataset at `path`, if it is there and can be read.
-    pub fn dataset(&self, path: &str) -> Option<Dataset> {
-        self.file.dataset(path).ok()
+    /// The dataset at `path`, if there is one.
+    ///
+    /// # Errors
+    /// What is there, or on the way to it, is damaged.
+    pub fn dataset(&self, path: &str) -> anyhow::Result<Option<Dataset>> {
+        match self.file.dataset(path) {
+            Ok(dataset) => Ok(Some(dataset)),
+            Err(error) if is_absence(&error) => Ok(None),
+            Err(error) => {
+                let what = plain(&error);
+                anyhow::bail!("{}: byte 0: damaged HDF5 file: {what}", self.name)
+            }
+        }
     }
 
     /// The names of what the group at `path` holds: groups, datasets.
@@ -148,7 +158,8 @@ impl Hdf5 {
     pub fn describe(&self) -> String {
         let datasets = self.datasets();
         let named = |path: &String| {
-            let shape = self.dataset(path).map(|dataset| shape(dataset.shape()));
+            let dataset = self.dataset(path).ok().flatten();
+            let shape = dataset.map(|dataset| shape(dataset.shape()));
             format!("{path} {}", shape.unwrap_or_default())
         };
         let more = datasets.len().saturating_sub(DESCRIBE_MAX);
@@ -182,6 +193,15 @@ pub fn join(path: &str, name: &str) -> String {
         name.to_owned()
     } else {
         format!("{path}/{name}")
+    }
+}
+
+/// Whether an error says that there is no such dataset.
+fn is_absence(error: &Error) -> bool {
+    match error {
+        Error::DatasetNotFound(_) | Error::GroupNotFound(_) => true,
+        Error::Context { source, .. } => is_absence(source),
+        _ => false,
     }
 }
 

@@ -95,7 +95,7 @@ impl Plan {
         let dataset = if place.is_empty() {
             None
         } else {
-            file.dataset(place)
+            file.dataset(place)?
         };
         let source = match dataset {
             None => columns(file, place)?,
@@ -215,7 +215,7 @@ impl Plan {
         let (Source::Columns(_), false) = (&self.source, self.seconds) else {
             return Ok(());
         };
-        let Some(offset) = file.dataset("t_offset") else {
+        let Some(offset) = file.dataset("t_offset")? else {
             return Ok(());
         };
         let number = match (offset.shape(), number_type(offset.dtype())) {
@@ -310,12 +310,14 @@ fn count(dataset: &Dataset) -> u64 {
 fn columns(file: &Hdf5, place: &str) -> anyhow::Result<Option<Source>> {
     let (_, names) = file.members(place);
     let find = |known: &[&str]| {
-        let found = names
-            .iter()
-            .find(|name| known.iter().any(|known| name.eq_ignore_ascii_case(known)))?;
-        file.dataset(&join(place, found))
+        let is = |name: &&String| known.iter().any(|known| name.eq_ignore_ascii_case(known));
+        match names.iter().find(is) {
+            Some(name) => file.dataset(&join(place, name)),
+            None => Ok(None),
+        }
     };
-    let [Some(t), Some(x), Some(y), Some(p)] = NAMES.map(find) else {
+    let [t, x, y, p] = NAMES.map(find);
+    let (Some(t), Some(x), Some(y), Some(p)) = (t?, x?, y?, p?) else {
         return Ok(None);
     };
     let events = count(&t);
