@@ -272,6 +272,9 @@ fn write_chunks(
             entries.push((key(raw.len() as u32, &place[..shape.len()]), address));
         }
     }
+    if entries.is_empty() {
+        return UNDEFINED;
+    }
     let end = key(0, &shape.iter().map(|side| side + 1).collect::<Vec<_>>());
     let mut level = 0;
     loop {
