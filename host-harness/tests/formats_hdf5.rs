@@ -126,7 +126,7 @@ fn open(bytes: &[u8], size: Option<Sensor>) -> Box<dyn EventReader> {
 fn check(bytes: &[u8], want: &[Event]) {
     let (got, error) = read(bytes, None);
     assert!(error.is_none(), "{error:?}");
-    assert_eq!(got, want);
+    assert!(got == want, "{} events", got.len());
 }
 
 /// More than two batches, and times as MVSEC has them: seconds since 1970.
@@ -437,7 +437,11 @@ fn events_before_a_damaged_chunk_are_read() {
         damaged[starts[chunk] + 40] ^= 0xff;
         let (got, error) = read(&damaged, None);
         let error = format!("{:#}", error.expect("a damaged chunk"));
-        assert_eq!(got, events[..chunk * 1000], "{error}");
+        assert!(
+            got == events[..chunk * 1000],
+            "{} events: {error}",
+            got.len()
+        );
         let want = format!("events: event {}: ", chunk * 1000);
         assert!(error.contains(&want), "{error}");
     }

@@ -102,15 +102,9 @@ impl Decode for Hdf5Decoder {
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
-        let mut count = (self.plan.events - self.events).min(batch.room() as u64);
-        let rows = loop {
-            match self.plan.read(self.events, count) {
-                Ok(rows) => break rows,
-                // The rows before a damaged chunk are whole.
-                Err(_) if count > 1 => count /= 2,
-                Err(error) => return Err(self.plan.error(&self.file, self.events, &error)),
-            }
-        };
+        let count = (self.plan.events - self.events).min(batch.room() as u64);
+        let rows = self.plan.read_whole(self.events, count);
+        let rows = rows.map_err(|error| self.plan.error(&self.file, self.events, &error))?;
         for row in &rows {
             match self.event(row) {
                 Ok(event) => batch.push(event),

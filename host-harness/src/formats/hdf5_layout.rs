@@ -145,8 +145,10 @@ impl Plan {
         if place.starts_with(MVSEC) {
             return Ok(Source::Table(Box::new(dataset), MVSEC_ORDER));
         }
-        let sample = read_table(&dataset, 0, events.min(SAMPLE_ROWS as u64))
-            .map_err(|error| file.error(&dataset, plain(&error)))?;
+        let sample = before_damage(events.min(SAMPLE_ROWS as u64), |count| {
+            read_table(&dataset, 0, count)
+        })
+        .map_err(|error| file.error(&dataset, plain(&error)))?;
         let order = if sample.is_empty() {
             Some(MVSEC_ORDER)
         } else {
@@ -201,7 +203,7 @@ impl Plan {
             return Ok(false);
         }
         let rows = self
-            .read(0, self.events.min(SAMPLE_TIMES as u64))
+            .read_whole(0, self.events.min(SAMPLE_TIMES as u64))
             .map_err(|error| self.error(file, 0, &error))?;
         let mut sample = TimeSample::default();
         for time in rows.iter().filter_map(|row| row[T]) {
@@ -254,6 +256,11 @@ impl Plan {
         }
     }
 
+    /// As [`Plan::read`], fewer rows where the rest is damaged.
+    pub fn read_whole(&self, start: u64, count: u64) -> Result<Vec<Row>, Error> {
+        before_damage(count, |count| self.read(start, count))
+    }
+
     /// x and y of `count` events.
     fn read_pixels(&self, start: u64, count: u64) -> Result<Vec<[Option<Number>; 2]>, Error> {
         if let Source::Columns(columns) = &self.source {
@@ -297,6 +304,19 @@ impl Plan {
         match self.dataset(P).or(self.dataset(T)) {
             Some(dataset) => file.error(dataset, what),
             None => anyhow::anyhow!("{}: byte 0: {what}", file.name()),
+        }
+    }
+}
+
+/// What `read` gives for `count` rows, or for fewer: the rows before a damaged chunk are whole.
+fn before_damage<T>(
+    mut count: u64,
+    read: impl Fn(u64) -> Result<Vec<T>, Error>,
+) -> Result<Vec<T>, Error> {
+    loop {
+        match read(count) {
+            Err(_) if count > 1 => count /= 2,
+            rows => return rows,
         }
     }
 }
