@@ -20,8 +20,11 @@ const SKIPPED: i32 = 77;
 /// Events of a real recording.
 const REAL_EVENTS: usize = 200_000;
 
+/// A metric: its name, its value, how far it may be apart.
+type Metric = (&'static str, fn(&Comparison) -> f64, f64);
+
 /// The metrics, and how far they may be apart, of the larger of the value and 1.
-const METRICS: [(&str, fn(&Comparison) -> f64, f64); 5] = [
+const METRICS: [Metric; 5] = [
     ("exact_fraction", |c| c.exact_fraction, 1e-15),
     ("mse", |c| c.mse, 1e-12),
     ("ssim", |c| c.ssim, 1e-6),

@@ -11,7 +11,7 @@ use super::event_numbers::{
 use super::hdf5_file::{
     Hdf5, fields, join, number_type, plain, read_column, read_records, read_table,
 };
-use super::npy_header::Number;
+use super::npy_header::{Dtype, Number};
 use super::time_unit::TimeSample;
 
 /// Where events are looked for, in this order: tables and compounds, or groups of columns.
@@ -195,9 +195,10 @@ impl Plan {
             Source::Records(dataset) => {
                 fields(dataset.dtype()).is_some_and(|[(_, t), ..]| t.is_float())
             }
-            _ => self.datasets().first().is_some_and(|dataset| {
-                number_type(dataset.dtype()).is_some_and(|dtype| dtype.is_float())
-            }),
+            _ => self
+                .datasets()
+                .first()
+                .is_some_and(|dataset| number_type(dataset.dtype()).is_some_and(Dtype::is_float)),
         };
         if !is_float {
             return Ok(false);
