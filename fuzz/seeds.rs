@@ -1,4 +1,5 @@
-//! Writes the small recordings in fuzz/seeds/ from which fuzzing starts: `cargo run --bin seeds`.
+//! Writes the small recordings in fuzz/seeds/ from which fuzzing starts: `cargo run --bin seeds`. Those of
+//! HDF5 are h5py's, by fuzz/seeds/read_hdf5.py.
 
 use std::path::Path;
 

@@ -3,19 +3,29 @@
 
     pip install numpy scipy scikit-image
     python3 tests/reference_metrics.py
+    python3 tests/reference_metrics.py WINDOW_US A.npz B.npz [WINDOW_US A.npz B.npz ...]
 
-prints the literals of host-harness/src/metrics/tests.rs. The recordings come from the integer
-generator below, which the Rust test repeats, so no data file is needed. Written from the
-definitions alone: SSIM by skimage.metrics.structural_similarity, the time distance by
+The first prints the literals of host-harness/src/metrics/tests.rs. Their recordings come from the
+integer generator below, which the Rust test repeats, so no data file is needed. The second compares
+recordings, one JSON object a line; host-harness/tests/metrics_reference.rs runs it. Exit status 77: a
+package is missing.
+
+Written from the definitions alone: SSIM by skimage.metrics.structural_similarity, the time distance by
 scipy.stats.wasserstein_distance, the matching by scipy.optimize.linear_sum_assignment.
 """
 
+import json
+import sys
 from collections import Counter
 
-import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.stats import wasserstein_distance
-from skimage.metrics import structural_similarity
+try:
+    import numpy as np
+    from scipy.optimize import linear_sum_assignment
+    from scipy.stats import wasserstein_distance
+    from skimage.metrics import structural_similarity
+except ImportError as error:
+    print(f"{error}: pip install numpy scipy scikit-image", file=sys.stderr)
+    sys.exit(77)
 
 WIDTH, HEIGHT, WINDOW_US = 40, 30, 1000
 
@@ -29,7 +39,8 @@ def generator(state):
 
 def recordings(seed):
     """A: 600 events, half of them in 6 x 6 pixels, windows 0, 1, 3 and 4 of 1 ms.
-    B: A with events lost, moved in time and added, also before and after A."""
+    B: A with events lost, moved in time and added, also before and after A.
+    Rows t, x, y, p, in order of time."""
     r = generator(seed)
     a, b = [], []
     for i in range(600):
@@ -48,37 +59,53 @@ def recordings(seed):
         if fate == 2:
             b.append((5000 + next(r) % 5000, x, y, next(r) % 2))
     b += [(3000, 1, 2, 1), (12500, 3, 4, 0), (12600, 3, 4, 0)]
-    return sorted(a), sorted(b)
+    return np.array(sorted(a)), np.array(sorted(b))
 
 
-def frame(events):
-    picture = np.zeros((HEIGHT, WIDTH))
-    for _, x, y, p in events:
-        picture[y, x] += 2 * p - 1
+def load(path):
+    """Rows t, x, y, p of an npz file, in order of time; width, height."""
+    with np.load(path) as arrays:
+        rows = np.stack([arrays[key].astype(np.int64) for key in "txyp"], axis=1)
+        size = int(arrays["width"]), int(arrays["height"])
+    return rows[np.argsort(rows[:, 0], kind="stable")], size
+
+
+def frame(events, width, height):
+    """Signed sum of polarities per pixel."""
+    picture = np.zeros((height, width))
+    np.add.at(picture, (events[:, 2], events[:, 1]), 2 * events[:, 3] - 1)
     return picture
 
 
-def pixel_cost(a, b):
+def groups(events):
+    """Times of every pixel and polarity."""
+    order = np.lexsort((events[:, 0], events[:, 3], events[:, 1], events[:, 2]))
+    events = events[order]
+    starts = np.flatnonzero(np.any(np.diff(events[:, 1:], axis=0), axis=1)) + 1
+    parts = np.split(events, starts)
+    return {tuple(part[0, 1:].tolist()): part[:, 0] for part in parts if len(part)}
+
+
+def pixel_cost(a, b, window_us):
     total = 0
-    groups = {}
-    for side, events in enumerate((a, b)):
-        for t, x, y, p in events:
-            groups.setdefault((x, y, p), ([], []))[side].append(t)
-    for times_a, times_b in groups.values():
-        total += abs(len(times_a) - len(times_b)) * WINDOW_US
+    groups_a, groups_b = groups(a), groups(b)
+    for key in groups_a.keys() | groups_b.keys():
+        times_a, times_b = groups_a.get(key, []), groups_b.get(key, [])
+        total += abs(len(times_a) - len(times_b)) * window_us
         cost = np.abs(np.subtract.outer(times_a, times_b))
         if cost.size:
             total += cost[linear_sum_assignment(cost)].sum()
     return total
 
 
-def compare(a, b):
-    origin = min(t for t, *_ in a)
-    index = lambda event: (event[0] - origin) // WINDOW_US
-    span = range(index(a[0]), index(a[-1]) + 1)
-    windows = sorted(set(span) | {index(event) for event in b})
-    pairs = [([e for e in a if index(e) == w], [e for e in b if index(e) == w]) for w in windows]
-    frames = [(frame(in_a), frame(in_b)) for in_a, in_b in pairs]
+def compare(a, b, size, window_us):
+    """events_a, events_b, exact_fraction, mse, ssim, emd_time_ms, emd_pixel_us."""
+    origin = a[0, 0]
+    index_a, index_b = (a[:, 0] - origin) // window_us, (b[:, 0] - origin) // window_us
+    span = range(0, int(index_a.max()) + 1)
+    windows = sorted(set(span) | set(index_b.tolist()))
+    pairs = [(a[index_a == w], b[index_b == w]) for w in windows]
+    frames = [(frame(in_a, *size), frame(in_b, *size)) for in_a, in_b in pairs]
     peak = max(np.abs(f).max() for pair in frames for f in pair)
     mse = np.mean([np.mean(((fa - fb) / peak) ** 2) for fa, fb in frames])
     ssim = np.mean([
@@ -87,15 +114,29 @@ def compare(a, b):
         for fa, fb in frames
     ])
     time = [
-        wasserstein_distance([e[0] for e in in_a], [e[0] for e in in_b])
-        if in_a and in_b else WINDOW_US
-        for in_a, in_b in pairs if in_a or in_b
+        wasserstein_distance(in_a[:, 0] - origin, in_b[:, 0] - origin)
+        if len(in_a) and len(in_b) else window_us
+        for in_a, in_b in pairs if len(in_a) or len(in_b)
     ]
-    exact = sum((Counter(a) & Counter(b)).values()) / len(a)
-    pixel = sum(pixel_cost(*pair) for pair in pairs) / len(a)
-    return len(a), len(b), exact, mse, ssim, np.mean(time) / 1000, pixel
+    exact = Counter(map(tuple, a.tolist())) & Counter(map(tuple, b.tolist()))
+    pixel = sum(pixel_cost(*pair, window_us) for pair in pairs) / len(a)
+    exact_fraction = sum(exact.values()) / len(a)
+    return len(a), len(b), exact_fraction, mse, ssim, np.mean(time) / 1000, pixel
 
 
-for seed in (1, 2, 3):
-    events_a, events_b, *numbers = compare(*recordings(seed))
-    print(f"({seed}, {events_a}, {events_b}, [{', '.join(repr(float(n)) for n in numbers)}]),")
+def main(arguments):
+    if not arguments:
+        for seed in (1, 2, 3):
+            both = recordings(seed)
+            events_a, events_b, *numbers = compare(*both, (WIDTH, HEIGHT), WINDOW_US)
+            numbers = ", ".join(repr(float(n)) for n in numbers)
+            print(f"({seed}, {events_a}, {events_b}, [{numbers}]),")
+    for window_us, path_a, path_b in zip(*[iter(arguments)] * 3):
+        (a, size), (b, _) = load(path_a), load(path_b)
+        events_a, events_b, *numbers = compare(a, b, size, int(window_us))
+        keys = "exact_fraction", "mse", "ssim", "emd_time_ms", "emd_pixel_us"
+        numbers = dict(zip(keys, map(float, numbers)))
+        print(json.dumps({"events_a": events_a, "events_b": events_b, **numbers}))
+
+
+main(sys.argv[1:])

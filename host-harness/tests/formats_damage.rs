@@ -131,7 +131,8 @@ fn nonsense_is_no_recording() {
     for (bytes, word) in [
         (&b"#!AER-DAT3.1\r\n"[..], "AEDAT"),
         (b"% evt 2.1\n% end\n", "EVT 2.1"),
-        (b"\x89HDF\r\n\x1a\n", "known format"),
+        (b"\x89HDF\r\n\x1a\n", "damaged HDF5 file"),
+        (b"\x89PNG\r\n\x1a\n", "known format"),
         (b"", "empty"),
         (b"#!AER-DAT2.0\r\n# AEChip: x.DAVIS346B\r\n", "DAVIS346B"),
     ] {
@@ -150,6 +151,8 @@ fn truncated_real_recordings() {
         "gen3_vga_dense_evt2/evt2.raw",
         "derived_layouts/davis346_building_xytp.npz",
         "derived_layouts/davis346_building_txyp.txt",
+        "derived_layouts/davis346_building_mvsec_layout.hdf5",
+        "derived_layouts/davis346_building_dsec_layout.h5",
     ] {
         let Ok(bytes) = std::fs::read(shared.join(file)) else {
             eprintln!("skipped: {file} is absent");

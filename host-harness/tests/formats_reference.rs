@@ -137,3 +137,25 @@ fn derived_text() {
 fn derived_npz() {
     check_derived("davis346_building_xytp.npz", "npz");
 }
+
+/// The HDF5 files keep the original's time base: every key is the original's.
+fn check_derived_hdf5(file: &str) {
+    let Some(reference) = reference() else { return };
+    let want = entry(&reference, "davis346_building_dense");
+    let info = recording_info(&Path::new(SHARED).join("derived_layouts").join(file));
+    assert_eq!(info.format, "hdf5");
+    check_counts(&info, want);
+    assert_eq!(want["t_first_us"], info.t_first_us.expect("events"));
+    assert_eq!(want["t_last_us"], info.t_last_us.expect("events"));
+    assert_eq!(want["sha256_events"], info.sha256_events);
+}
+
+#[test]
+fn derived_mvsec() {
+    check_derived_hdf5("davis346_building_mvsec_layout.hdf5");
+}
+
+#[test]
+fn derived_dsec() {
+    check_derived_hdf5("davis346_building_dsec_layout.h5");
+}

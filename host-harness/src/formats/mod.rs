@@ -8,9 +8,13 @@ pub mod aedat4;
 mod aedat4_writer;
 pub mod ahead;
 mod decimal;
+mod event_numbers;
 pub mod evt2;
 pub mod evt3;
 mod flatbuffer;
+pub mod hdf5;
+mod hdf5_file;
+mod hdf5_layout;
 pub mod input;
 mod npy_header;
 pub mod npz;
@@ -36,6 +40,7 @@ use aedat4::Aedat4Reader;
 pub use aedat4_writer::{Aedat4Writer, Compression};
 use evt2::{Evt2Reader, Evt2Writer};
 use evt3::{Evt3Reader, Evt3Writer};
+use hdf5::Hdf5Reader;
 use input::{Input, ReadSeek};
 use npz::NpzReader;
 pub use npz_writer::NpzWriter;
@@ -49,7 +54,7 @@ pub const BATCH_EVENTS: usize = 1 << 14;
 /// Bytes that detection looks at.
 const DETECT_BYTES: usize = 4096;
 
-const READABLE: &str = "AEDAT 4 and 2, Prophesee RAW EVT 2 and 3, text t x y p, npz";
+const READABLE: &str = "AEDAT 4 and 2, Prophesee RAW EVT 2 and 3, text t x y p, npz, HDF5";
 const WRITABLE: &str = ".aedat4, .aedat (AEDAT 2), .raw (EVT 3), .evt2.raw or .evt2 (EVT 2), .csv, \
                         .txt, .npz";
 
@@ -73,7 +78,8 @@ impl Skipped {
 
 /// A recording being read, from its first event to its last; on a thread of its own, if need be.
 pub trait EventReader: Send {
-    /// Format name as `eecvs info` prints it: `aedat4`, `aedat2`, `evt2`, `evt3`, `text`, `npz`.
+    /// Format name as `eecvs info` prints it: `aedat4`, `aedat2`, `evt2`, `evt3`, `text`, `npz`,
+    /// `hdf5`.
     fn format(&self) -> &'static str;
 
     /// Sensor size from the file's header, or from the caller where the format has none.
@@ -127,10 +133,18 @@ pub trait EventWriter {
 
 /// Opens a recording, its format found by content; `size` is used where the file has none.
 ///
+/// A dataset or group of an HDF5 file is named behind it: `FILE.hdf5/davis/right/events`.
+///
 /// # Errors
 /// Unknown format, unreadable file, damaged header.
 pub fn open(path: &Path, size: Option<Sensor>) -> anyhow::Result<Box<dyn EventReader>> {
     let name = path.display().to_string();
+    if let Some((file, place)) = place_inside(path) {
+        let name = file.display().to_string();
+        let source = File::open(file).with_context(|| format!("{name}: cannot be opened"))?;
+        let reader = Hdf5Reader::new(Box::new(source), &name, Some(&place), size)?;
+        return Ok(Box::new(reader));
+    }
     let metadata = std::fs::metadata(path).with_context(|| format!("{name}: cannot be opened"))?;
     anyhow::ensure!(
         !metadata.is_dir(),
@@ -138,6 +152,14 @@ pub fn open(path: &Path, size: Option<Sensor>) -> anyhow::Result<Box<dyn EventRe
     );
     let file = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
     open_source(Box::new(file), &name, size)
+}
+
+/// The file and the rest of a path that leads into a file.
+fn place_inside(path: &Path) -> Option<(&Path, String)> {
+    let file = path.ancestors().skip(1).find(|file| file.is_file())?;
+    let rest = path.strip_prefix(file).ok()?;
+    let names: Option<Vec<&str>> = rest.iter().map(|name| name.to_str()).collect();
+    Some((file, names?.join("/")))
 }
 
 /// As [`open`], for a file or bytes in memory, which messages call `name`.
@@ -169,6 +191,14 @@ pub fn open_source(
     }
     if begins(b"#!AER-DAT") {
         anyhow::bail!("{name}: byte 0: only AEDAT 2.0 and 4.0 are known: convert it with DV");
+    }
+    // Behind a user block, if there is one.
+    if [0, 512, 1024, 2048].iter().any(|at| {
+        let rest = start.get(*at..);
+        rest.is_some_and(|rest| rest.starts_with(hdf5::MAGIC))
+    }) {
+        let source = input.into_source();
+        return Ok(Box::new(Hdf5Reader::new(source, name, None, size)?));
     }
     if begins(npz::MAGIC) {
         return Ok(Box::new(NpzReader::new(input.into_source(), name, size)?));

@@ -75,6 +75,17 @@ impl Number {
 }
 
 impl Dtype {
+    /// A number of `bytes` bytes: `b'i'` signed, `b'u'` unsigned, `b'f'` float, `b'b'` bool; `None`
+    /// where [`Dtype::number`] could not read it.
+    pub fn new(kind: u8, big_endian: bool, bytes: usize) -> Option<Self> {
+        let dtype = Self {
+            kind,
+            big_endian,
+            bytes,
+        };
+        dtype.is_number().then_some(dtype)
+    }
+
     fn parse(text: &str) -> Option<Self> {
         let (order, rest) = match text.split_at_checked(1)? {
             (order @ ("<" | ">" | "|" | "="), rest) => (order, rest),

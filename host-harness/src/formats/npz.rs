@@ -13,12 +13,12 @@
 //! The arrays are read in step, one batch of each at a time. A wrong CRC-32 of one is an error
 //! after the last event; a truncated file has lost its directory and cannot be read at all.
 
-use eecvs_nostd::{Event, Polarity, Sensor};
+use eecvs_nostd::{Event, Sensor};
 
 use super::Skipped;
+use super::event_numbers;
 use super::input::{Batch, Decode, ReadSeek, Reader};
-use super::npy_header::Number;
-use super::npz_layout::{NpzFile, P, Plan, Stream, T, X, Y, count, fill};
+use super::npz_layout::{Field, NpzFile, Plan, Stream, count, fill};
 
 /// First bytes of a zip file with an entry.
 pub const MAGIC: &[u8; 4] = b"PK\x03\x04";
@@ -72,52 +72,9 @@ pub struct NpzDecoder {
 
 impl NpzDecoder {
     fn event(&self, row: usize) -> Result<Event, (usize, String)> {
-        let number = |which: usize| {
-            let field = self.plan.fields[which];
-            let number = self
-                .streams
-                .get(field.stream)
-                .and_then(|s| s.number(row, field));
-            number.ok_or_else(|| (which, "a number above 2^63".to_owned()))
-        };
-        let time = match number(T)? {
-            Number::Whole(t) => u64::try_from(t).ok(),
-            Number::Float(t) => {
-                let t = if self.plan.seconds { t * 1e6 } else { t }.round();
-                (0.0..9.2e18).contains(&t).then_some(t as u64)
-            }
-        };
-        let t_us = time.ok_or_else(|| {
-            (
-                T,
-                "the time is negative, no number or above 2^63 us".to_owned(),
-            )
-        })?;
-        let side = |which: usize| {
-            let value = number(which)?;
-            value
-                .whole()
-                .ok_or_else(|| (which, format!("{} is not whole", value.float())))
-        };
-        let (x, y) = (side(X)?, side(Y)?);
-        let polarity = match number(P)?.whole() {
-            Some(1) => Polarity::On,
-            Some(0 | -1) => Polarity::Off,
-            _ => return Err((P, "the polarity is not one of 0, 1, -1".to_owned())),
-        };
-        match (u16::try_from(x), u16::try_from(y)) {
-            (Ok(x), Ok(y)) if self.sensor.contains(x, y) => Ok(Event {
-                t_us,
-                x,
-                y,
-                polarity,
-            }),
-            _ => {
-                let Sensor { width, height } = self.sensor;
-                let what = format!("x = {x}, y = {y} is outside of the sensor ({width}x{height})");
-                Err((X, what))
-            }
-        }
+        let number = |field: Field| self.streams.get(field.stream)?.number(row, field);
+        let numbers = self.plan.fields.map(number);
+        event_numbers::event(&numbers, self.plan.seconds, self.sensor)
     }
 
     fn error(&self, stream: usize, what: impl std::fmt::Display) -> anyhow::Error {

@@ -5,23 +5,11 @@ use std::io::Read;
 use eecvs_nostd::Sensor;
 
 use super::BATCH_EVENTS;
+use super::event_numbers::{NAMES, SAMPLE_ROWS, SAMPLE_TIMES, X, Y, column_order, coordinate};
 use super::input::ReadSeek;
 use super::npy_header::{Descr, Dtype, NpyHeader, Number};
-use super::text_layout::Layout;
 use super::time_unit::TimeSample;
 use super::zip_entry::{Entries, Entry, EntryReader};
-
-/// Times that the unit of floats is found from.
-const SAMPLE_TIMES: usize = 4096;
-
-/// Rows that the columns of an (N, 4) array are found from.
-const SAMPLE_ROWS: usize = 1000;
-
-// Places of t, x, y and p in [`Plan::fields`].
-pub const T: usize = 0;
-pub const X: usize = 1;
-pub const Y: usize = 2;
-pub const P: usize = 3;
 
 /// A number of every event: its stream, its offset in the stream's record, its type.
 #[derive(Debug, Clone, Copy)]
@@ -287,35 +275,17 @@ impl NpzFile {
     fn order_columns(&self, plan: Plan) -> anyhow::Result<Plan> {
         let mut streams = self.streams(&plan)?;
         let rows = fill(&mut streams, count(plan.events, SAMPLE_ROWS)).0;
-        let text = |row: usize, field: &Field| {
-            let stream = streams.get(field.stream)?;
-            Some(match stream.number(row, *field)? {
-                Number::Whole(value) => value.to_string(),
-                Number::Float(value) => value.to_string(),
-            })
-        };
-        let texts: Vec<Vec<String>> = (0..rows)
-            .map(|row| {
-                plan.fields
-                    .iter()
-                    .filter_map(|field| text(row, field))
-                    .collect()
-            })
-            .collect();
-        let lines: Vec<Vec<&[u8]>> = texts
-            .iter()
-            .map(|row| row.iter().map(String::as_bytes).collect())
+        let number = |row: usize, field: Field| streams.get(field.stream)?.number(row, field);
+        let sample: Vec<_> = (0..rows)
+            .map(|row| plan.fields.map(|field| number(row, field)))
             .collect();
         let Some(first) = plan.streams.first() else {
             return Ok(plan);
         };
-        let layout = Layout::detect(None, &lines, self.stated_size()?).map_err(|_| {
-            self.error(
-                &first.entry,
-                "the order of the four columns is unclear: save t, x, y, p",
-            )
+        let columns = column_order(&sample, self.stated_size()?).ok_or_else(|| {
+            let what = "the order of the four columns is unclear: save t, x, y, p";
+            self.error(&first.entry, what)
         })?;
-        let columns = [layout.t, layout.x, layout.y, layout.p];
         let fields: Vec<Field> = columns
             .iter()
             .filter_map(|column| plan.fields.get(*column).copied())
@@ -427,12 +397,7 @@ impl NpzFile {
             // Damage is for the reader, which returns the events before it.
             let (rows, error) = fill(&mut streams, count(left, BATCH_EVENTS));
             for row in 0..rows {
-                let side = |field: Field| {
-                    let value = streams.get(field.stream)?.number(row, field)?.whole()?;
-                    u16::try_from(value)
-                        .ok()
-                        .filter(|value| *value < Sensor::SIDE_MAX)
-                };
+                let side = |field: Field| coordinate(streams.get(field.stream)?.number(row, field));
                 let (Some(x), Some(y)) = (side(plan.fields[X]), side(plan.fields[Y])) else {
                     left = 0;
                     break;
@@ -453,14 +418,6 @@ impl NpzFile {
         })
     }
 }
-
-/// Names of t, x, y, p.
-const NAMES: [&[&str]; 4] = [
-    &["t", "ts", "time", "times", "timestamp", "timestamps"],
-    &["x"],
-    &["y"],
-    &["p", "pol", "polarity", "polarities"],
-];
 
 /// `left`, at most `limit`.
 pub fn count(left: u64, limit: usize) -> usize {

@@ -1,0 +1,376 @@
+//! The datasets of an HDF5 file, read some rows at a time.
+
+use std::io::SeekFrom;
+use std::sync::{Arc, Mutex};
+
+use hdf5_reader::{
+    BlockCacheStorage, Dataset, Datatype, H5Type, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem,
+    Storage, StorageBuffer, error::Error,
+};
+
+use super::event_numbers::{NAMES, Row};
+use super::input::ReadSeek;
+use super::npy_header::{Dtype, Number};
+
+/// First bytes of a file, or what follows a user block of 512 bytes times a power of two.
+pub const MAGIC: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
+
+/// Bytes read at once where the file's own structures are, and how many such pieces are kept.
+const BLOCK_BYTES: usize = 1 << 16;
+const BLOCKS: usize = 64;
+
+/// Largest chunk, unpacked: HDF5's library writes some MB at the most unless told otherwise.
+const CHUNK_BYTES: usize = 64 << 20;
+
+/// Largest piece of a dataset read at once; a batch of events is 2 MB.
+const READ_BYTES: usize = 64 << 20;
+
+/// Largest description of a dataset or group.
+const HEADER_BYTES: usize = 1 << 20;
+
+/// How deep below the root datasets are listed, how many, and how many a message names.
+const LIST_DEPTH: usize = 4;
+const LIST_MAX: usize = 500;
+const DESCRIBE_MAX: usize = 24;
+
+/// Names of the filters that compress and are not read: the filter's number, what it is called.
+const FILTERS: [(&str, &str); 6] = [
+    ("32000", "LZF"),
+    ("32001", "Blosc"),
+    ("32004", "LZ4"),
+    ("32008", "bitshuffle"),
+    ("32015", "Zstandard"),
+    ("36559", "Prophesee's ECF"),
+];
+
+/// The source as storage that any thread may read from.
+struct Source {
+    source: Mutex<Box<dyn ReadSeek>>,
+    length: u64,
+}
+
+impl Storage for Source {
+    fn len(&self) -> u64 {
+        self.length
+    }
+
+    fn read_range(&self, offset: u64, len: usize) -> Result<StorageBuffer, Error> {
+        let end = offset.checked_add(len as u64);
+        // Before memory is asked for: lengths come from the file.
+        if end.is_none_or(|end| end > self.length) {
+            return Err(Error::UnexpectedEof {
+                offset,
+                needed: len as u64,
+                available: self.length.saturating_sub(offset),
+            });
+        }
+        let mut bytes = vec![0; len];
+        // A thread that panicked while it read has left no state but the position, which is set here.
+        let mut source = self
+            .source
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        source.seek(SeekFrom::Start(offset))?;
+        source.read_exact(&mut bytes)?;
+        Ok(StorageBuffer::from_vec(bytes))
+    }
+}
+
+/// An HDF5 file.
+pub struct Hdf5 {
+    name: String,
+    file: Hdf5File,
+    length: u64,
+}
+
+impl Hdf5 {
+    /// Opens a file, which messages call `name`.
+    pub fn open(mut source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<Self> {
+        let damaged =
+            |error: Error| anyhow::anyhow!("{name}: byte 0: damaged HDF5 file: {}", plain(&error));
+        let length = source
+            .seek(SeekFrom::End(0))
+            .map_err(|error| damaged(error.into()))?;
+        let source = Mutex::new(source);
+        let storage =
+            BlockCacheStorage::new(Arc::new(Source { source, length }), BLOCK_BYTES, BLOCKS);
+        let options = OpenOptions::default()
+            .with_max_chunk_bytes(CHUNK_BYTES)
+            .with_max_read_bytes(READ_BYTES)
+            .with_max_object_header_bytes(HEADER_BYTES);
+        let file =
+            Hdf5File::from_storage_with_options(Arc::new(storage), options).map_err(damaged)?;
+        let name = name.to_owned();
+        Ok(Self { name, file, length })
+    }
+
+    /// Name for messages.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The dataset at `path`, if there is one.
+    ///
+    /// # Errors
+    /// What is there, or on the way to it, is damaged.
+    pub fn dataset(&self, path: &str) -> anyhow::Result<Option<Dataset>> {
+        match self.file.dataset(path) {
+            Ok(dataset) => Ok(Some(dataset)),
+            Err(error) if is_absence(&error) => Ok(None),
+            Err(error) => {
+                let what = plain(&error);
+                anyhow::bail!("{}: byte 0: damaged HDF5 file: {what}", self.name)
+            }
+        }
+    }
+
+    /// The names of what the group at `path` holds: groups, datasets.
+    pub fn members(&self, path: &str) -> (Vec<String>, Vec<String>) {
+        let group = if path.is_empty() {
+            self.file.root_group()
+        } else {
+            self.file.group(path)
+        };
+        let names = group.and_then(|group| group.member_names());
+        names.unwrap_or_default()
+    }
+
+    /// The paths of the datasets, the first [`LIST_MAX`] of them.
+    pub fn datasets(&self) -> Vec<String> {
+        let mut found = Vec::new();
+        self.list("", 0, &mut found);
+        found
+    }
+
+    fn list(&self, path: &str, depth: usize, found: &mut Vec<String>) {
+        let (groups, datasets) = self.members(path);
+        let room = LIST_MAX.saturating_sub(found.len());
+        found.extend(datasets.iter().take(room).map(|name| join(path, name)));
+        // Groups may hold one another.
+        if depth < LIST_DEPTH {
+            for name in groups.iter().take(LIST_MAX) {
+                self.list(&join(path, name), depth + 1, found);
+            }
+        }
+    }
+
+    /// What a message says where no layout fits: the datasets and their shapes.
+    pub fn describe(&self) -> String {
+        let datasets = self.datasets();
+        let named = |path: &String| {
+            let dataset = self.dataset(path).ok().flatten();
+            let shape = dataset.map(|dataset| shape(dataset.shape()));
+            format!("{path} {}", shape.unwrap_or_default())
+        };
+        let more = datasets.len().saturating_sub(DESCRIBE_MAX);
+        let names: Vec<String> = datasets.iter().take(DESCRIBE_MAX).map(named).collect();
+        match (names.is_empty(), more) {
+            (true, _) => "no datasets".to_owned(),
+            (_, 0) => names.join(", "),
+            _ => format!("{} and {more} more", names.join(", ")),
+        }
+    }
+
+    /// Bytes of the file.
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// Error about a dataset, at the byte where its description begins.
+    pub fn error(&self, dataset: &Dataset, what: impl std::fmt::Display) -> anyhow::Error {
+        anyhow::anyhow!(
+            "{}: byte {}: {}: {what}",
+            self.name,
+            dataset.address(),
+            dataset.name()
+        )
+    }
+}
+
+/// The path of `name` in the group at `path`.
+pub fn join(path: &str, name: &str) -> String {
+    if path.is_empty() {
+        name.to_owned()
+    } else {
+        format!("{path}/{name}")
+    }
+}
+
+/// Whether an error says that there is no such dataset.
+fn is_absence(error: &Error) -> bool {
+    match error {
+        Error::DatasetNotFound(_) | Error::GroupNotFound(_) => true,
+        Error::Context { source, .. } => is_absence(source),
+        _ => false,
+    }
+}
+
+fn shape(sides: &[u64]) -> String {
+    let sides: Vec<String> = sides.iter().map(u64::to_string).collect();
+    format!("({})", sides.join(" x "))
+}
+
+/// The error in one line, and what to do where it is a filter.
+pub fn plain(error: &Error) -> String {
+    let text = error.to_string().replace('\n', " ");
+    match error {
+        Error::UnsupportedFilter(what) => {
+            let known = FILTERS.iter().find(|(number, _)| what.contains(number));
+            let called = known.map_or(String::new(), |(_, name)| format!(" ({name})"));
+            format!("{text}{called}: rewrite it with gzip: h5repack -f GZIP=4 IN OUT")
+        }
+        _ => text,
+    }
+}
+
+/// The type of a dataset's numbers, as that of an array; `None` if they are none.
+pub fn number_type(datatype: &Datatype) -> Option<Dtype> {
+    let big_endian = |order| order == hdf5_reader::ByteOrder::BigEndian;
+    let (kind, order, bytes) = match datatype {
+        Datatype::FixedPoint {
+            size,
+            signed,
+            byte_order,
+        } => (if *signed { b'i' } else { b'u' }, *byte_order, *size),
+        Datatype::FloatingPoint { size, byte_order } => (b'f', *byte_order, *size),
+        Datatype::Bitfield { size, byte_order } => (b'u', *byte_order, *size),
+        // Python's bool.
+        Datatype::Enum { base, .. } => return number_type(base),
+        _ => return None,
+    };
+    Dtype::new(kind, big_endian(order), usize::from(bytes))
+}
+
+/// The places and types of t, x, y and p in a compound; `None` where one of them is missing.
+pub fn fields(datatype: &Datatype) -> Option<[(usize, Dtype); 4]> {
+    let Datatype::Compound { fields, .. } = datatype else {
+        return None;
+    };
+    let find = |names: &[&str]| {
+        let field = fields.iter().find(|field| {
+            names
+                .iter()
+                .any(|known| field.name.eq_ignore_ascii_case(known))
+        })?;
+        Some((
+            usize::try_from(field.byte_offset).ok()?,
+            number_type(&field.datatype)?,
+        ))
+    };
+    let [t, x, y, p] = NAMES.map(find);
+    Some([t?, x?, y?, p?])
+}
+
+/// A number of a dataset, of whatever type it is there.
+#[derive(Clone)]
+struct Cell(Option<Number>);
+
+impl H5Type for Cell {
+    fn hdf5_type() -> Datatype {
+        Datatype::FloatingPoint {
+            size: 8,
+            byte_order: hdf5_reader::ByteOrder::LittleEndian,
+        }
+    }
+
+    fn from_bytes(bytes: &[u8], datatype: &Datatype) -> Result<Self, Error> {
+        let dtype = number_type(datatype).ok_or_else(no_number)?;
+        Ok(Self(dtype.number(bytes)))
+    }
+
+    fn element_size(datatype: &Datatype) -> usize {
+        hdf5_reader::dtype_element_size(datatype).unwrap_or(0)
+    }
+
+    fn decode_vec(
+        raw: &[u8],
+        datatype: &Datatype,
+        count: usize,
+    ) -> Option<Result<Vec<Self>, Error>> {
+        let Some(dtype) = number_type(datatype) else {
+            return Some(Err(no_number()));
+        };
+        let elements = raw.chunks_exact(dtype.bytes).take(count);
+        Some(Ok(elements
+            .map(|bytes| Self(dtype.number(bytes)))
+            .collect()))
+    }
+}
+
+/// A record of a dataset: t, x, y and p of a compound.
+#[derive(Clone)]
+struct Record(Row);
+
+impl Record {
+    fn of(bytes: &[u8], fields: &[(usize, Dtype); 4]) -> Self {
+        Self(fields.map(|(offset, dtype)| dtype.number(bytes.get(offset..)?)))
+    }
+}
+
+impl H5Type for Record {
+    fn hdf5_type() -> Datatype {
+        Datatype::Compound {
+            size: 0,
+            fields: Vec::new(),
+        }
+    }
+
+    fn from_bytes(bytes: &[u8], datatype: &Datatype) -> Result<Self, Error> {
+        let fields = fields(datatype).ok_or_else(no_number)?;
+        Ok(Self::of(bytes, &fields))
+    }
+
+    fn element_size(datatype: &Datatype) -> usize {
+        hdf5_reader::dtype_element_size(datatype).unwrap_or(0)
+    }
+
+    fn decode_vec(
+        raw: &[u8],
+        datatype: &Datatype,
+        count: usize,
+    ) -> Option<Result<Vec<Self>, Error>> {
+        let (Some(fields), size @ 1..) = (fields(datatype), Self::element_size(datatype)) else {
+            return Some(Err(no_number()));
+        };
+        let records = raw.chunks_exact(size).take(count);
+        Some(Ok(records.map(|bytes| Self::of(bytes, &fields)).collect()))
+    }
+}
+
+fn no_number() -> Error {
+    Error::InvalidData("the type is not one of numbers".to_owned())
+}
+
+fn rows(start: u64, count: u64) -> SliceInfoElem {
+    SliceInfoElem::Slice {
+        start,
+        end: start.saturating_add(count),
+        step: 1,
+    }
+}
+
+/// `count` numbers of a dataset of one dimension.
+pub fn read_column(
+    dataset: &Dataset,
+    start: u64,
+    count: u64,
+) -> Result<Vec<Option<Number>>, Error> {
+    let selections = vec![rows(start, count)];
+    let cells = dataset.read_slice::<Cell>(&SliceInfo { selections })?;
+    Ok(cells.into_iter().map(|Cell(number)| number).collect())
+}
+
+/// `count` rows of a dataset of shape (N, 4), in the file's order of columns.
+pub fn read_table(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<Row>, Error> {
+    let selections = vec![rows(start, count), rows(0, 4)];
+    let cells = dataset.read_slice::<Cell>(&SliceInfo { selections })?;
+    let numbers: Vec<Option<Number>> = cells.into_iter().map(|Cell(number)| number).collect();
+    Ok(numbers.as_chunks::<4>().0.to_vec())
+}
+
+/// t, x, y, p of `count` records of a dataset of compounds.
+pub fn read_records(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<Row>, Error> {
+    let selections = vec![rows(start, count)];
+    let records = dataset.read_slice::<Record>(&SliceInfo { selections })?;
+    Ok(records.into_iter().map(|Record(row)| row).collect())
+}

@@ -1,0 +1,314 @@
+//! Writes small HDF5 files as HDF5 1.6's library does: superblock and object headers of version 0
+//! and 1, symbol tables, B-trees of version 1. Independent of the reader's crate.
+
+use std::io::Write;
+
+/// An address that leads nowhere.
+const UNDEFINED: u64 = u64::MAX;
+
+/// Entries of a B-tree's node: of groups, of chunks.
+const GROUP_ENTRIES: usize = 32;
+const CHUNK_ENTRIES: usize = 64;
+
+/// Most members of a group: one symbol table node.
+const MEMBERS: usize = 8;
+
+/// Type of an element.
+#[derive(Clone)]
+pub enum Type {
+    /// Integer of so many bytes, signed or not, big-endian or not.
+    Integer(u8, bool, bool),
+    /// Double, little-endian.
+    Double,
+    /// Named fields with their offsets.
+    Compound(Vec<(&'static str, u8, Type)>, u8),
+}
+
+impl Type {
+    fn size(&self) -> usize {
+        match self {
+            Type::Integer(bytes, ..) => usize::from(*bytes),
+            Type::Double => 8,
+            Type::Compound(_, size) => usize::from(*size),
+        }
+    }
+
+    fn message(&self) -> Vec<u8> {
+        match self {
+            Type::Integer(bytes, signed, big_endian) => {
+                let bits = u8::from(*big_endian) | u8::from(*signed) << 3;
+                let mut message = vec![0x10, bits, 0, 0, *bytes, 0, 0, 0];
+                message.extend([0, 0, bytes * 8, 0]);
+                message
+            }
+            Type::Double => {
+                let mut message = vec![0x11, 0x20, 63, 0, 8, 0, 0, 0];
+                message.extend([0, 0, 64, 0, 52, 11, 0, 52]);
+                message.extend(1023_u32.to_le_bytes());
+                message
+            }
+            Type::Compound(fields, size) => {
+                let mut message = vec![0x36, fields.len() as u8, 0, 0, *size, 0, 0, 0];
+                for (name, offset, of) in fields {
+                    message.extend(name.bytes().chain([0, *offset]));
+                    message.extend(of.message());
+                }
+                message
+            }
+        }
+    }
+}
+
+/// How a dataset lies in the file.
+#[derive(Clone)]
+pub enum Storage {
+    Contiguous,
+    /// Chunks of this shape, through these filters in turn.
+    Chunked(Vec<usize>, Vec<Filter>),
+}
+
+/// What a chunk goes through.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Filter {
+    Shuffle,
+    Deflate,
+    /// Only named, with this number.
+    Other(u16),
+}
+
+/// A group, or a dataset.
+pub enum Node {
+    Group(Vec<(&'static str, Node)>),
+    Dataset {
+        of: Type,
+        shape: Vec<usize>,
+        storage: Storage,
+        data: Vec<u8>,
+    },
+}
+
+/// A file with these members of its root.
+pub fn file(members: Vec<(&'static str, Node)>) -> Vec<u8> {
+    let mut bytes = vec![0; 96];
+    let root = write(&mut bytes, &Node::Group(members));
+    let mut start = b"\x89HDF\r\n\x1a\n".to_vec();
+    start.extend([0, 0, 0, 0, 0, 8, 8, 0]);
+    start.extend([4, 0, 16, 0, 0, 0, 0, 0]);
+    for address in [
+        0,
+        UNDEFINED,
+        bytes.len() as u64,
+        UNDEFINED,
+        0,
+        root,
+        0,
+        0,
+        0,
+    ] {
+        start.extend(address.to_le_bytes());
+    }
+    bytes[..96].copy_from_slice(&start);
+    bytes
+}
+
+/// Appends `part` and returns its address.
+fn append(bytes: &mut Vec<u8>, part: &[u8]) -> u64 {
+    bytes.resize(bytes.len().next_multiple_of(8), 0);
+    let address = bytes.len() as u64;
+    bytes.extend_from_slice(part);
+    address
+}
+
+fn write(bytes: &mut Vec<u8>, node: &Node) -> u64 {
+    match node {
+        Node::Group(members) => write_group(bytes, members),
+        Node::Dataset {
+            of,
+            shape,
+            storage,
+            data,
+        } => write_dataset(bytes, of, shape, storage, data),
+    }
+}
+
+fn header(bytes: &mut Vec<u8>, messages: &[(u16, Vec<u8>)]) -> u64 {
+    let mut body = Vec::new();
+    for (kind, message) in messages {
+        let size = message.len().next_multiple_of(8);
+        body.extend(kind.to_le_bytes());
+        body.extend((size as u16).to_le_bytes());
+        body.extend([0; 4]);
+        body.extend(message);
+        body.resize(body.len() + size - message.len(), 0);
+    }
+    let mut start = vec![1, 0];
+    start.extend((messages.len() as u16).to_le_bytes());
+    start.extend(1_u32.to_le_bytes());
+    start.extend((body.len() as u32).to_le_bytes());
+    start.extend([0; 4]);
+    append(bytes, &[start, body].concat())
+}
+
+fn write_group(bytes: &mut Vec<u8>, members: &[(&'static str, Node)]) -> u64 {
+    assert!(members.len() <= MEMBERS, "a group of one node");
+    let mut members: Vec<_> = members.iter().collect();
+    members.sort_by_key(|(name, _)| *name);
+    let mut names = vec![0; 8];
+    let mut symbols = b"SNOD\x01\0".to_vec();
+    symbols.extend((members.len() as u16).to_le_bytes());
+    let mut last = 0;
+    for (name, node) in members {
+        let address = write(bytes, node);
+        last = names.len() as u64;
+        names.extend(name.bytes());
+        names.resize(names.len() / 8 * 8 + 8, 0);
+        symbols.extend([last, address, 0, 0, 0].map(u64::to_le_bytes).concat());
+    }
+    symbols.resize(8 + 40 * MEMBERS, 0);
+    let names_at = append(bytes, &names);
+    let mut heap = b"HEAP\0\0\0\0".to_vec();
+    // 1: no free place in the heap.
+    heap.extend(
+        [names.len() as u64, 1, names_at]
+            .map(u64::to_le_bytes)
+            .concat(),
+    );
+    let heap = append(bytes, &heap);
+    let symbols = append(bytes, &symbols);
+    let mut tree = b"TREE\0\0\x01\0".to_vec();
+    let entry = [UNDEFINED, UNDEFINED, 0, symbols, last];
+    tree.extend(entry.map(u64::to_le_bytes).concat());
+    tree.resize(24 + 8 * (2 * GROUP_ENTRIES + 1), 0);
+    let tree = append(bytes, &tree);
+    let table = [tree, heap].map(u64::to_le_bytes).concat();
+    header(bytes, &[(0x11, table)])
+}
+
+fn write_dataset(
+    bytes: &mut Vec<u8>,
+    of: &Type,
+    shape: &[usize],
+    storage: &Storage,
+    data: &[u8],
+) -> u64 {
+    let mut space = vec![1, shape.len() as u8, 0, 0, 0, 0, 0, 0];
+    space.extend(shape.iter().flat_map(|side| (*side as u64).to_le_bytes()));
+    let mut messages = vec![(1, space), (3, of.message()), (5, vec![2, 2, 0, 0])];
+    match storage {
+        Storage::Contiguous => {
+            let address = append(bytes, data);
+            let mut layout = vec![3, 1];
+            layout.extend([address, data.len() as u64].map(u64::to_le_bytes).concat());
+            messages.push((8, layout));
+        }
+        Storage::Chunked(chunk, filters) => {
+            let tree = write_chunks(bytes, of.size(), shape, chunk, filters, data);
+            let mut layout = vec![3, 2, shape.len() as u8 + 1];
+            layout.extend(tree.to_le_bytes());
+            layout.extend(chunk.iter().flat_map(|side| (*side as u32).to_le_bytes()));
+            layout.extend((of.size() as u32).to_le_bytes());
+            messages.push((8, layout));
+            if !filters.is_empty() {
+                messages.push((11, pipeline(filters, of.size())));
+            }
+        }
+    }
+    header(bytes, &messages)
+}
+
+fn pipeline(filters: &[Filter], size: usize) -> Vec<u8> {
+    let mut message = vec![1, filters.len() as u8, 0, 0, 0, 0, 0, 0];
+    for filter in filters {
+        let (number, value) = match filter {
+            Filter::Deflate => (1, 6),
+            Filter::Shuffle => (2, size as u32),
+            Filter::Other(number) => (*number, 0),
+        };
+        message.extend([number, 0, 0, 1].map(u16::to_le_bytes).concat());
+        // One value, padded to an even number of them.
+        message.extend([value, 0].map(u32::to_le_bytes).concat());
+    }
+    message
+}
+
+/// A key of a chunk's entry: bytes, mask of filters left out, place in the dataset.
+fn key(stored: u32, place: &[usize]) -> Vec<u8> {
+    let mut key = [stored, 0].map(u32::to_le_bytes).concat();
+    key.extend(place.iter().flat_map(|at| (*at as u64).to_le_bytes()));
+    key.extend([0; 8]);
+    key
+}
+
+fn write_chunks(
+    bytes: &mut Vec<u8>,
+    size: usize,
+    shape: &[usize],
+    chunk: &[usize],
+    filters: &[Filter],
+    data: &[u8],
+) -> u64 {
+    let columns: usize = shape.get(1).copied().unwrap_or(1);
+    let [rows, wide] = [chunk[0], chunk.get(1).copied().unwrap_or(1)];
+    let mut entries = Vec::new();
+    for row in (0..shape[0]).step_by(rows) {
+        for column in (0..columns).step_by(wide) {
+            let mut raw = vec![0; rows * wide * size];
+            for (i, element) in raw.chunks_exact_mut(size).enumerate() {
+                let (r, c) = (row + i / wide, column + i % wide);
+                if r < shape[0] && c < columns {
+                    let at = (r * columns + c) * size;
+                    element.copy_from_slice(&data[at..at + size]);
+                }
+            }
+            for filter in filters {
+                raw = match filter {
+                    Filter::Shuffle => shuffle(&raw, size),
+                    Filter::Deflate => deflate(&raw),
+                    Filter::Other(_) => raw,
+                };
+            }
+            let address = append(bytes, &raw);
+            let place = [row, column];
+            entries.push((key(raw.len() as u32, &place[..shape.len()]), address));
+        }
+    }
+    if entries.is_empty() {
+        return UNDEFINED;
+    }
+    let end = key(0, &shape.iter().map(|side| side + 1).collect::<Vec<_>>());
+    let mut level = 0;
+    loop {
+        entries = entries
+            .chunks(CHUNK_ENTRIES)
+            .map(|part| {
+                let mut node = b"TREE\x01".to_vec();
+                node.push(level);
+                node.extend((part.len() as u16).to_le_bytes());
+                node.extend([UNDEFINED, UNDEFINED].map(u64::to_le_bytes).concat());
+                for (key, child) in part {
+                    node.extend(key);
+                    node.extend(child.to_le_bytes());
+                }
+                node.extend(&end);
+                node.resize(24 + CHUNK_ENTRIES * (8 + end.len()) + end.len(), 0);
+                (part[0].0.clone(), append(bytes, &node))
+            })
+            .collect();
+        level += 1;
+        if let [(_, root)] = entries.as_slice() {
+            return *root;
+        }
+    }
+}
+
+fn shuffle(raw: &[u8], size: usize) -> Vec<u8> {
+    (0..size)
+        .flat_map(|byte| raw.iter().skip(byte).step_by(size).copied())
+        .collect()
+}
+
+fn deflate(raw: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+    encoder.write_all(raw).expect("memory");
+    encoder.finish().expect("memory")
+}
