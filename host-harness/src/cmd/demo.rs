@@ -282,12 +282,12 @@ impl Run {
             (
                 "density.svg",
                 "density and regime of every window",
-                chart::density_over_time("Event density", &points(&windows), marks)?,
+                chart::density_over_time("Event density", &points(&windows), marks)?.svg,
             ),
             (
                 "histogram.svg",
                 "densities with the two thresholds",
-                chart::density_histogram("Event density", &densities, marks)?,
+                chart::density_histogram("Event density", &densities, marks)?.svg,
             ),
         ] {
             let path = self.folder.join(file);

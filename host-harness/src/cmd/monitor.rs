@@ -73,12 +73,12 @@ impl Monitor {
         }
         let marks = chart_thresholds(thresholds);
         if let Some(path) = &self.chart {
-            let svg = chart::density_over_time("Event density", &points(&windows), marks)?;
+            let svg = chart::density_over_time("Event density", &points(&windows), marks)?.svg;
             std::fs::write(path, svg).with_context(|| format!("{}", path.display()))?;
         }
         if let Some(path) = &self.histogram {
             let densities: Vec<f64> = windows.iter().map(|w| w.density_per_px_s).collect();
-            let svg = chart::density_histogram("Event density", &densities, marks)?;
+            let svg = chart::density_histogram("Event density", &densities, marks)?.svg;
             std::fs::write(path, svg).with_context(|| format!("{}", path.display()))?;
         }
         if self.json {

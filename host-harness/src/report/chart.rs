@@ -1,13 +1,16 @@
-//! Charts of the event density, as SVG text that needs no fonts to be made.
+//! Charts of the event density, which need no fonts to be made.
 //!
 //! Regimes have colours of the Okabe-Ito set, which colour-blind readers tell apart: sparse
 //! blue, moderate green, dense vermilion. A chart uses a logarithmic density axis where the
 //! densities and thresholds above 0 span a factor of 30 or more; a density of 0 is then drawn
 //! at the foot of the axis.
 
-use anyhow::{Result, anyhow, ensure};
+use anyhow::{Result, ensure};
 use plotters::coord::Shift;
 use plotters::prelude::*;
+
+use super::kernel_chart::Drawn;
+use super::sheet::{Chart, Sheet};
 
 const WIDTH: u32 = 960;
 const HEIGHT: u32 = 420;
@@ -146,7 +149,7 @@ pub fn density_over_time(
     title: &str,
     windows: &[DensityPoint],
     thresholds: Thresholds,
-) -> Result<String> {
+) -> Result<Sheet> {
     thresholds.check()?;
     for (i, w) in windows.iter().enumerate() {
         ensure!(w.time_s.is_finite(), "window {i} starts at {} s", w.time_s);
@@ -167,30 +170,66 @@ pub fn density_over_time(
     } else {
         (first.min(0.0), first.min(0.0) + 1.0)
     };
-    draw(|area| {
-        let mut chart = ChartBuilder::on(&area)
-            .caption(title, text_style(18))
-            .margin(14)
-            .margin_right(110)
-            .x_label_area_size(44)
-            .y_label_area_size(64)
+    Sheet::new(&OverTime {
+        title,
+        points,
+        axis,
+        thresholds,
+        span: (first, last),
+    })
+}
+
+/// What [`density_over_time`] draws.
+struct OverTime<'c> {
+    title: &'c str,
+    points: Vec<DensityPoint>,
+    axis: Axis,
+    thresholds: Thresholds,
+    /// First and last time in seconds.
+    span: (f64, f64),
+}
+
+impl Chart for OverTime<'_> {
+    fn size(&self) -> (u32, u32) {
+        (WIDTH, HEIGHT)
+    }
+
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
+    where
+        B::ErrorType: 'static,
+    {
+        let Self {
+            title,
+            points,
+            axis,
+            thresholds,
+            span: (first, last),
+        } = self;
+        let (axis, thresholds, first, last) = (*axis, *thresholds, *first, *last);
+        area.fill(&WHITE)?;
+        let mut chart = ChartBuilder::on(area)
+            .caption(*title, text_style(18 * scale))
+            .margin(14 * scale)
+            .margin_right(110 * scale)
+            .x_label_area_size(44 * scale)
+            .y_label_area_size(64 * scale)
             .build_cartesian_2d(first..last, axis.from..axis.to)?;
         chart
             .configure_mesh()
             .light_line_style(TRANSPARENT)
             .bold_line_style(GRID)
             .axis_style(LINE)
-            .label_style(text_style(12))
-            .axis_desc_style(text_style(13))
+            .label_style(text_style(12 * scale))
+            .axis_desc_style(text_style(13 * scale))
             .x_desc("time (s)")
             .y_desc("events per pixel per second")
             .y_label_formatter(&|v| axis.label(*v))
             .x_label_formatter(&|v| short(*v))
             .draw()?;
         let line = points.iter().map(|p| (p.time_s, axis.at(p.density)));
-        chart.draw_series(LineSeries::new(line, LINE.stroke_width(1)))?;
+        chart.draw_series(LineSeries::new(line, LINE.stroke_width(scale as u32)))?;
         for (regime, (_, colour)) in REGIMES.iter().enumerate() {
-            let radius = if points.len() > 400 { 2 } else { 3 };
+            let radius = scale * if points.len() > 400 { 2 } else { 3 };
             chart.draw_series(
                 points
                     .iter()
@@ -200,26 +239,36 @@ pub fn density_over_time(
         }
         for (tau, colour) in [(thresholds.tau_low, SPARSE), (thresholds.tau_high, DENSE)] {
             let ends = [(first, axis.at(tau)), (last, axis.at(tau))];
-            chart.draw_series(DashedLineSeries::new(ends, 6, 4, colour.stroke_width(1)))?;
+            chart.draw_series(DashedLineSeries::new(
+                ends,
+                6 * scale,
+                4 * scale,
+                colour.stroke_width(scale as u32),
+            ))?;
         }
         let heights = [thresholds.tau_low, thresholds.tau_high]
             .map(|tau| chart.backend_coord(&(last, axis.at(tau))));
         let labels = [("tau_low", SPARSE), ("tau_high", DENSE)];
         let taus = [thresholds.tau_low, thresholds.tau_high];
         // Labels of thresholds that lie close together are spread so that both can be read.
-        let close = (heights[0].1 - heights[1].1).abs() < 28;
+        let close = (heights[0].1 - heights[1].1).abs() < 28 * scale;
         for (i, ((name, colour), (x, y))) in labels.iter().zip(heights).enumerate() {
             let shift = match (close, i) {
                 (false, _) => -6,
                 (true, 0) => 2,
                 (true, _) => -26,
             };
-            let style = text_style(12).color(colour);
-            area.draw_text(name, &style, (x + 6, y + shift - 6))?;
-            area.draw_text(&short(taus[i]), &style, (x + 6, y + shift + 6))?;
+            let style = text_style(12 * scale).color(colour);
+            area.draw_text(name, &style, (x + 6 * scale, y + (shift - 6) * scale))?;
+            area.draw_text(
+                &short(taus[i]),
+                &style,
+                (x + 6 * scale, y + (shift + 6) * scale),
+            )?;
         }
-        draw_regimes(&area)
-    })
+        draw_regimes(area, scale)?;
+        area.present()
+    }
 }
 
 /// How many windows have which density, the bars in the colour of their middle's regime and the
@@ -230,7 +279,7 @@ pub fn density_over_time(
 ///
 /// # Errors
 /// A density or threshold that is not finite, or a negative density.
-pub fn density_histogram(title: &str, densities: &[f64], thresholds: Thresholds) -> Result<String> {
+pub fn density_histogram(title: &str, densities: &[f64], thresholds: Thresholds) -> Result<Sheet> {
     thresholds.check()?;
     for (i, density) in densities.iter().enumerate() {
         check_density(i, *density)?;
@@ -238,14 +287,50 @@ pub fn density_histogram(title: &str, densities: &[f64], thresholds: Thresholds)
     let axis = Axis::new(densities.iter().copied(), thresholds);
     let bins = histogram(densities, axis);
     let highest = bins.iter().max().copied().unwrap_or(0).max(1) as f64 * 1.12;
-    let bin_width = (axis.to - axis.from) / BINS as f64;
-    draw(|area| {
-        let mut chart = ChartBuilder::on(&area)
-            .caption(title, text_style(18))
-            .margin(14)
-            .margin_right(110)
-            .x_label_area_size(44)
-            .y_label_area_size(64)
+    Sheet::new(&Histogram {
+        title,
+        bins,
+        axis,
+        thresholds,
+        highest,
+    })
+}
+
+/// What [`density_histogram`] draws.
+struct Histogram<'c> {
+    title: &'c str,
+    bins: [u64; BINS],
+    axis: Axis,
+    thresholds: Thresholds,
+    /// End of the axis of windows.
+    highest: f64,
+}
+
+impl Chart for Histogram<'_> {
+    fn size(&self) -> (u32, u32) {
+        (WIDTH, HEIGHT)
+    }
+
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
+    where
+        B::ErrorType: 'static,
+    {
+        let Self {
+            title,
+            bins,
+            axis,
+            thresholds,
+            highest,
+        } = self;
+        let (axis, thresholds, highest) = (*axis, *thresholds, *highest);
+        let bin_width = (axis.to - axis.from) / BINS as f64;
+        area.fill(&WHITE)?;
+        let mut chart = ChartBuilder::on(area)
+            .caption(*title, text_style(18 * scale))
+            .margin(14 * scale)
+            .margin_right(110 * scale)
+            .x_label_area_size(44 * scale)
+            .y_label_area_size(64 * scale)
             .build_cartesian_2d(axis.from..axis.to, 0.0..highest)?;
         chart
             .configure_mesh()
@@ -253,8 +338,8 @@ pub fn density_histogram(title: &str, densities: &[f64], thresholds: Thresholds)
             .bold_line_style(GRID)
             .axis_style(LINE)
             .disable_x_mesh()
-            .label_style(text_style(12))
-            .axis_desc_style(text_style(13))
+            .label_style(text_style(12 * scale))
+            .axis_desc_style(text_style(13 * scale))
             .x_desc("events per pixel per second")
             .y_desc("windows")
             .x_label_formatter(&|v| axis.label(*v))
@@ -290,21 +375,31 @@ pub fn density_histogram(title: &str, densities: &[f64], thresholds: Thresholds)
         let places = taus.map(|(_, tau, _)| chart.backend_coord(&(axis.at(tau), highest)));
         for (i, (name, tau, colour)) in taus.iter().enumerate() {
             let ends = [(axis.at(*tau), 0.0), (axis.at(*tau), highest)];
-            chart.draw_series(DashedLineSeries::new(ends, 6, 4, colour.stroke_width(1)))?;
+            chart.draw_series(DashedLineSeries::new(
+                ends,
+                6 * scale,
+                4 * scale,
+                colour.stroke_width(scale as u32),
+            ))?;
             let (x, y) = places[i];
             let label = format!("{name} {}", short(*tau));
             // The lower threshold's label stands to its left, so the two never meet; at the left
             // border, where it has no room, on a line of its own.
-            let length = 6 * label.len() as i32;
+            let length = 6 * label.len() as i32 * scale;
             let (dx, dy) = match i {
-                0 if x - length > 90 => (-6 - length, 2),
-                0 => (6, 16),
-                _ => (6, 2),
+                0 if x - length > 90 * scale => (-6 * scale - length, 2 * scale),
+                0 => (6 * scale, 16 * scale),
+                _ => (6 * scale, 2 * scale),
             };
-            area.draw_text(&label, &text_style(12).color(colour), (x + dx, y + dy))?;
+            area.draw_text(
+                &label,
+                &text_style(12 * scale).color(colour),
+                (x + dx, y + dy),
+            )?;
         }
-        draw_regimes(&area)
-    })
+        draw_regimes(area, scale)?;
+        area.present()
+    }
 }
 
 fn check_density(window: usize, density: f64) -> Result<()> {
@@ -351,36 +446,21 @@ fn text_style(size: i32) -> TextStyle<'static> {
 }
 
 /// Names of the regimes, in their colours, at the right border.
-fn draw_regimes<B: DrawingBackend>(area: &DrawingArea<B, Shift>) -> ChartResult<B>
+fn draw_regimes<B: DrawingBackend>(area: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
 where
     B::ErrorType: 'static,
 {
-    let x = WIDTH as i32 - 84;
+    let x = (WIDTH as i32 - 84) * scale;
     for (i, (name, colour)) in REGIMES.iter().rev().enumerate() {
-        let y = 20 + 16 * i as i32;
-        area.draw(&Circle::new((x, y), 4, colour.filled()))?;
-        area.draw_text(name, &text_style(12), (x + 10, y - 5))?;
+        let y = (20 + 16 * i as i32) * scale;
+        area.draw(&Circle::new((x, y), 4 * scale, colour.filled()))?;
+        area.draw_text(
+            name,
+            &text_style(12 * scale),
+            (x + 10 * scale, y - 5 * scale),
+        )?;
     }
     Ok(())
-}
-
-type ChartResult<B> =
-    std::result::Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
-
-/// Runs `paint` on a white sheet and returns the SVG text.
-fn draw(
-    paint: impl FnOnce(DrawingArea<SVGBackend<'_>, Shift>) -> ChartResult<SVGBackend<'static>>,
-) -> Result<String> {
-    let mut svg = String::new();
-    {
-        let area = SVGBackend::with_string(&mut svg, (WIDTH, HEIGHT)).into_drawing_area();
-        let sheet = area.clone();
-        area.fill(&WHITE)
-            .and_then(|()| paint(sheet))
-            .and_then(|()| area.present())
-            .map_err(|error| anyhow!("the chart cannot be drawn: {error}"))?;
-    }
-    Ok(svg)
 }
 
 #[cfg(test)]
@@ -409,7 +489,9 @@ mod tests {
     #[test]
     fn every_window_is_a_dot_of_its_regime() {
         let windows = points(&[0.0, 0.4, 0.5, 4.9, 5.0, 6.0, 700.0]);
-        let svg = density_over_time("density", &windows, THRESHOLDS).unwrap();
+        let svg = density_over_time("density", &windows, THRESHOLDS)
+            .unwrap()
+            .svg;
         // One more dot per regime explains its colour.
         assert_eq!(dots(&svg, "#0072B2"), 2 + 1);
         assert_eq!(dots(&svg, "#009E73"), 2 + 1);
@@ -445,8 +527,8 @@ mod tests {
             for thresholds in [zero, THRESHOLDS] {
                 let windows = points(densities);
                 for svg in [
-                    density_over_time("x", &windows, thresholds).unwrap(),
-                    density_histogram("x", densities, thresholds).unwrap(),
+                    density_over_time("x", &windows, thresholds).unwrap().svg,
+                    density_histogram("x", densities, thresholds).unwrap().svg,
                 ] {
                     assert!(svg.contains("</svg>") && !svg.contains("NaN"));
                 }

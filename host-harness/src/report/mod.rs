@@ -11,5 +11,6 @@ pub mod picture;
 pub mod picture_backend;
 pub mod rate_chart;
 pub mod rate_table;
+pub mod sheet;
 pub mod skip_table;
 pub mod strips;
