@@ -22,6 +22,7 @@ pub mod reconstruct;
 pub mod recording_info;
 pub mod reference;
 pub mod report;
+pub mod round_trip;
 pub mod scene;
 pub mod source;
 pub mod thresholds_file;

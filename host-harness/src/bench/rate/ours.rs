@@ -1,18 +1,14 @@
 //! The codec itself: a recording to a file in memory, and back.
 
 use anyhow::{Context, Result, ensure};
-use eecvs_nostd::{
-    Coder, Config, Event, Filter, Hybrid, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform,
-    WindowConfig,
-};
-use std::num::NonZeroUsize;
+use eecvs_nostd::{Coder, Event, Hybrid, Mode, Thresholds, Transform};
 
 use super::volume::{BINS, Grid, Volume};
 use crate::decode::WindowReader;
-use crate::encode::{Limits, encode, readout};
 use crate::frame_file::FrameReader;
 use crate::reconstruct::bins::Bins;
-use crate::reconstruct::events::{EventDecoder, Finder};
+use crate::reconstruct::events::Finder;
+use crate::round_trip::{Encoded, config, decode};
 use crate::source::{Source, WINDOW_US};
 
 /// A recording encoded and decoded.
@@ -57,7 +53,7 @@ pub fn coded(
     plain: &[u8],
 ) -> Result<(usize, f64)> {
     let mode = Mode::Coefficients(coder);
-    let (file, seconds) = encoded(source, mode, Some(transform), m)?;
+    let Encoded { file, seconds, .. } = encoded(source, mode, Some(transform), m)?;
     let mut windows = [plain, &file].map(|file| WindowReader::new(FrameReader::new(file)));
     let [plain, coded] = &mut windows;
     loop {
@@ -76,42 +72,31 @@ pub fn coded(
 /// # Errors
 /// A frame that does not decode, or an event that is not in any.
 fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) -> Result<Decoded> {
-    let (file, seconds) = encoded(source, mode, transform, m)?;
+    let Encoded { file, seconds, .. } = encoded(source, mode, transform, m)?;
     let grid = source.grid();
     let is_transform = mode.is_transform();
-    let mut windows = WindowReader::new(FrameReader::new(&file[..]));
-    let mut events = Vec::with_capacity(source.events.len());
     let mut cells = Vec::new();
-    let mut decoder: Option<(EventDecoder, Bins)> = None;
-    while let Some(window) = windows.next_window()? {
+    // Tables of one transform, grid and M: all windows' are the same here.
+    let mut bins = None;
+    let events = decode(&file, Finder::Peaks, &mut |window| {
         let header = &window.header;
-        let (decoder, bins) = match &mut decoder {
-            Some(decoder) if decoder.0.fits(&window) => decoder,
-            _ => decoder.insert((
-                EventDecoder::new(header.transform, header.grid, header.m, Finder::Peaks),
-                Bins::new(header.transform, header.grid, BINS),
-            )),
-        };
-        events.extend(decoder.window(&window));
-        if is_transform {
-            let (number, since_us) = grid.window(header.t0_us);
-            ensure!(
-                since_us == 0 && header.duration_us == WINDOW_US,
-                "a window was closed early, and its volume is no other's: make the window shorter"
-            );
-            for pixel in &window.pixels {
-                cells.extend((0..BINS).map(|bin| {
-                    let cell = grid.cell(number, pixel.x, pixel.y, bin);
-                    (cell, bins.value(pixel, bin))
-                }));
-            }
+        if !is_transform {
+            return Ok(());
         }
-    }
-    let report = windows.report();
-    ensure!(
-        report.is_clean(),
-        "frames do not come back; please report this"
-    );
+        let (number, since_us) = grid.window(header.t0_us);
+        ensure!(
+            since_us == 0 && header.duration_us == WINDOW_US,
+            "a window was closed early, and its volume is no other's: make the window shorter"
+        );
+        let bins = bins.get_or_insert_with(|| Bins::new(header.transform, header.grid, BINS));
+        for pixel in &window.pixels {
+            cells.extend((0..BINS).map(|bin| {
+                let cell = grid.cell(number, pixel.x, pixel.y, bin);
+                (cell, bins.value(pixel, bin))
+            }));
+        }
+        Ok(())
+    })?;
     Ok(Decoded {
         file,
         seconds,
@@ -119,48 +104,11 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
         coefficients: is_transform.then(|| Volume::new(cells)),
     })
 }
-/// The file of a recording, and seconds spent encoding it on one thread.
-fn encoded(
-    source: &Source,
-    mode: Mode,
-    transform: Option<Transform>,
-    m: u8,
-) -> Result<(Vec<u8>, f64)> {
-    let config = Config {
-        window: WindowConfig {
-            sensor: source.sensor,
-            window_us: WINDOW_US,
-        },
-        thresholds: Thresholds::new(0, 0).context("thresholds of 0")?,
-        transform,
-        m,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
-    };
-    let config = readout::look_at(&source.events, config);
-    let (mut bytes, mut reader) = (Vec::new(), source.reader());
-    let (limits, threads) = (Limits::default(), NonZeroUsize::MIN);
-    let summary = encode(
-        &mut reader,
-        config,
-        limits,
-        threads,
-        &mut bytes,
-        &mut |_| (),
-    )?;
-    ensure!(
-        summary.events_encoded == summary.events_in,
-        "{} of {} events are in no frame; please report this",
-        summary.events_in - summary.events_encoded,
-        summary.events_in
-    );
-    Ok((bytes, summary.encode_s))
+
+/// On one thread.
+fn encoded(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) -> Result<Encoded> {
+    let thresholds = Thresholds::new(0, 0).context("thresholds of 0")?;
+    Encoded::new(source, config(source, thresholds, mode, transform, m))
 }
 
 impl Source {
