@@ -68,8 +68,28 @@ emulator() {
     packages qemu-system-arm
 }
 
+# What the metrics are compared with, in a Python of its own if that is possible.
+scipy() {
+    local folder=target/python
+    if ! have python3; then
+        skip "unit: the metrics against scipy and scikit-image: there is no python3"
+        return
+    fi
+    python3 -c "import numpy, scipy, skimage" >/dev/null 2>&1 && return
+    if ! "$folder/bin/python" -c "import numpy, scipy, skimage" >/dev/null 2>&1; then
+        echo "installing numpy, scipy and scikit-image"
+        if ! python3 -m venv "$folder" >/dev/null 2>&1 ||
+            ! "$folder/bin/pip" install -q numpy scipy scikit-image >/dev/null 2>&1; then
+            skip "unit: the metrics against scipy and scikit-image: pip cannot install them"
+            return
+        fi
+    fi
+    export EECVS_PYTHON=$PWD/$folder/bin/python
+}
+
 unit() {
     umockdev
+    scipy
     # The firmware stage tells where there is none.
     emulator || true
     # The dev profile checks arithmetic overflow and debug assertions.

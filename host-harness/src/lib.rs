@@ -25,5 +25,6 @@ pub mod report;
 pub mod round_trip;
 pub mod scene;
 pub mod source;
+pub mod study;
 pub mod thresholds_file;
 pub mod view;

@@ -28,6 +28,7 @@ enum Command {
     View(cmd::view::View),
     Mcu(cmd::mcu::Mcu),
     Bench(cmd::bench::Bench),
+    Report(cmd::report::Report),
 }
 
 fn main() -> ExitCode {
@@ -46,6 +47,7 @@ fn main() -> ExitCode {
         Command::View(command) => command.run(),
         Command::Mcu(command) => command.run(),
         Command::Bench(command) => command.run(),
+        Command::Report(command) => command.run(),
     };
     end("eecvs", result)
 }

@@ -30,6 +30,24 @@ impl Progress {
         }
     }
 
+    /// Counts `unit`s of a number that [`Self::set_of`] tells.
+    #[must_use]
+    pub fn bar(unit: &str) -> Self {
+        let progress = Self::new(unit);
+        if let Ok(style) = ProgressStyle::with_template(&format!(
+            "{{bar:30}} {{human_pos}} of {{human_len}} {unit}, {{elapsed}}"
+        )) {
+            progress.bar.set_style(style);
+        }
+        progress
+    }
+
+    /// `count` units of `total` are done.
+    pub fn set_of(&self, count: u64, total: u64) {
+        self.bar.set_length(total);
+        self.set(count);
+    }
+
     /// `count` units are done in all.
     pub fn set(&self, count: u64) {
         // indicatif draws nothing where stderr is no terminal.

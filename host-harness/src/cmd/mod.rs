@@ -16,4 +16,5 @@ pub mod mcu;
 pub mod monitor;
 pub mod options;
 pub mod output;
+pub mod report;
 pub mod view;

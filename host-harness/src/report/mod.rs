@@ -14,3 +14,4 @@ pub mod rate_table;
 pub mod sheet;
 pub mod skip_table;
 pub mod strips;
+pub mod study;

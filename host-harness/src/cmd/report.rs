@@ -1,0 +1,202 @@
+//! `eecvs report`: the paper's evaluation, as a page with tables and pictures.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, ensure};
+use clap::Args;
+use serde::Serialize;
+
+use super::output::print;
+use crate::bench;
+use crate::downstream::segment::classical::Classical;
+use crate::downstream::segment::{Segmenter, open_model};
+use crate::progress::Progress;
+use crate::report::marks::Marks;
+use crate::report::study::figures::{self, Figure};
+use crate::report::study::{page, tables};
+use crate::study::effort::Effort;
+use crate::study::record::Record;
+use crate::study::set::Set;
+use crate::study::store::Store;
+use crate::study::{self, Results};
+
+/// Where recordings are looked for when --data is not given.
+const RECORDINGS: &str = "../shared/data";
+
+/// Reproduce the paper's tables on emulated scenes and recordings, as a page with pictures
+#[derive(Debug, Args)]
+pub struct Report {
+    /// Folder of the results: `report.html` and what it shows, as CSV, JSON, SVG and PNG. A report that
+    /// was ended goes on from its `rows.jsonl`
+    #[arg(short, long, value_name = "DIR", default_value = "eecvs-report")]
+    output: PathBuf,
+
+    /// Folder of recordings, two levels deep [default: ../shared/data where it is, else none]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+
+    /// Three windows of each emulated scene, and no recordings but those of --data
+    #[arg(long)]
+    quick: bool,
+
+    /// Segment with this ONNX model instead of the built-in segmenter; docs/segmentation.md says which
+    /// models fit. Needs a program built with --features onnx
+    #[arg(long, value_name = "FILE")]
+    segmenter: Option<PathBuf>,
+
+    /// Keep rows that another build of the program has measured, as for a page that is drawn anew
+    #[arg(long)]
+    keep_rows: bool,
+
+    /// Also write the answer and a table into a document, README.md, between the lines that name this
+    /// command
+    #[arg(long, value_name = "FILE", conflicts_with = "quick")]
+    save: Option<PathBuf>,
+}
+
+/// Where the README has what is measured here.
+pub const MARKS: Marks = Marks {
+    name: "report",
+    command: "eecvs report --save README.md",
+};
+
+impl Report {
+    /// Measures what has not been measured yet, and writes the page.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, a folder that cannot be written, a model that does not fit, or a
+    /// codec that does not give back what it promises.
+    pub fn run(self) -> Result<()> {
+        if let Some(document) = &self.save {
+            MARKS.check(document)?;
+        }
+        let folder = &self.output;
+        fs::create_dir_all(folder)
+            .with_context(|| format!("{}: cannot create the folder", folder.display()))?;
+        let effort = if self.quick {
+            Effort::QUICK
+        } else {
+            Effort::FULL
+        };
+        let model = self.segmenter.as_deref();
+        // A model that cannot be run is told before anything takes long.
+        let segmenter = segmenter(model)?.name().to_owned();
+        let sets = self.sets(&effort)?;
+        let path = folder.join("rows.jsonl");
+        let (store, known) = Store::open(
+            &path,
+            Record::new(&sets, &effort, &segmenter),
+            !self.keep_rows,
+        )?;
+        if known > 0 {
+            eprintln!(
+                "eecvs: going on after {known} measurements in {}",
+                path.display()
+            );
+        }
+        let progress = Progress::bar("measurements");
+        let show = |done: usize, total: usize| progress.set_of(done as u64, total as u64);
+        study::run(&sets, &effort, &|| self::segmenter(model), &store, &show)?;
+        drop(progress);
+        let results = store.results();
+        let figures = self.figures(&sets, &results)?;
+        let files = write(folder, &results, &figures)?;
+        if let Some(path) = &self.save {
+            MARKS.write(path, &tables::document(&results))?;
+        }
+        let answers = results.answer();
+        let answers: Vec<String> = answers.iter().map(page::text).collect();
+        print(&format!(
+            "{}\n\nreport: {}\n        and {files} files beside it\n",
+            answers.join("\n\n"),
+            folder.join("report.html").display()
+        ))
+    }
+
+    fn sets(&self, effort: &Effort) -> Result<Vec<Set>> {
+        let mut sets = vec![Set::scenes(effort)?];
+        let folder = match &self.data {
+            Some(folder) => {
+                ensure!(
+                    folder.is_dir(),
+                    "{}: no folder; --data wants one of recordings",
+                    folder.display()
+                );
+                Some(folder.as_path())
+            }
+            None => Some(Path::new(RECORDINGS)).filter(|folder| !self.quick && folder.is_dir()),
+        };
+        if let Some(folder) = folder {
+            let progress = Progress::new("recordings read");
+            let set = Set::recordings(folder, effort, &|read| progress.set(read as u64))?;
+            drop(progress);
+            if set.is_none() {
+                eprintln!(
+                    "eecvs: {}: no recordings in it; docs/datasets.md says where there are some",
+                    folder.display()
+                );
+            }
+            sets.extend(set);
+        }
+        Ok(sets)
+    }
+
+    /// Everything that the page shows beside its tables.
+    fn figures(&self, sets: &[Set], results: &Results) -> Result<Vec<Figure>> {
+        let mut figures = figures::charts(results)?;
+        figures.extend(figures::of_slices(sets)?);
+        let effort = if self.quick {
+            bench::Effort::QUICK
+        } else {
+            bench::Effort::FULL
+        };
+        figures.push(figures::of_kernels(effort)?);
+        Ok(figures)
+    }
+}
+
+fn segmenter(model: Option<&Path>) -> Result<Box<dyn Segmenter>> {
+    match model {
+        Some(path) => open_model(path),
+        None => Ok(Box::new(Classical)),
+    }
+}
+
+/// Writes the page, the rows and the pictures; how many files there are beside the page.
+fn write(folder: &Path, results: &Results, figures: &[Figure]) -> Result<usize> {
+    let save = |name: &str, bytes: &[u8]| {
+        let path = folder.join(name);
+        fs::write(&path, bytes).with_context(|| format!("{}: cannot be written", path.display()))
+    };
+    save("report.html", page::html(results, figures)?.as_bytes())?;
+    save(
+        "results.json",
+        (serde_json::to_string_pretty(results)? + "\n").as_bytes(),
+    )?;
+    save("quality.csv", &csv(&results.quality)?)?;
+    save("speed.csv", &csv(&results.speed)?)?;
+    save("perception.csv", &csv(&results.perception)?)?;
+    let mut files = 5;
+    for figure in figures {
+        if let Some(svg) = &figure.svg {
+            save(&format!("{}.svg", figure.name), svg.as_bytes())?;
+            files += 1;
+        }
+        figure
+            .png
+            .save(&folder.join(format!("{}.png", figure.name)))?;
+        files += 1;
+    }
+    Ok(files)
+}
+
+fn csv<R: Serialize>(rows: &[R]) -> Result<Vec<u8>> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for row in rows {
+        writer.serialize(row)?;
+    }
+    writer
+        .into_inner()
+        .map_err(|error| anyhow::anyhow!("rows as CSV: {error}"))
+}

@@ -1,0 +1,232 @@
+//! The pictures of a study: charts of its rows, and strips of its sources.
+
+use anyhow::Result;
+use eecvs_nostd::{Coder, Event, Fidelity, Transform};
+
+use super::colours::label;
+use super::rate_distortion::RateDistortion;
+use super::time_errors::TimeErrors;
+use crate::baseline::{Baseline, Stored};
+use crate::bench::{self, Origin, cut, mcu};
+use crate::reconstruct::events::Finder;
+use crate::report::chart::{self, DensityPoint, Thresholds};
+use crate::report::frame_picture::FrameStyle;
+use crate::report::kernel_chart;
+use crate::report::picture::Picture;
+use crate::report::sheet::Sheet;
+use crate::report::strips::strips;
+use crate::source::{Source, WINDOW_US};
+use crate::study::Results;
+use crate::study::density::Densities;
+use crate::study::effort::M;
+use crate::study::method::Method;
+use crate::study::perception::SLICE_US;
+use crate::study::set::Set;
+
+/// A picture on the page, and beside it.
+#[derive(Debug, Clone)]
+pub struct Figure {
+    /// Name of its files without ending; it begins with the name of its section of the page.
+    pub name: String,
+    /// What stands below it.
+    pub caption: String,
+    /// Where it is a chart.
+    pub svg: Option<String>,
+    /// Always.
+    pub png: Picture,
+}
+
+impl Figure {
+    fn chart(name: String, caption: &str, sheet: Sheet) -> Self {
+        Self {
+            name,
+            caption: caption.to_owned(),
+            svg: Some(sheet.svg),
+            png: sheet.png,
+        }
+    }
+}
+
+/// Rates, errors of times, and densities.
+///
+/// # Errors
+/// Rows that are no numbers.
+pub fn charts(results: &Results) -> Result<Vec<Figure>> {
+    let mut figures = vec![
+        Figure::chart(
+            "rate-distortion".to_owned(),
+            "Bits per event against the error of event times; what is exact stands at the foot. Down and \
+             left is better.",
+            Sheet::new(&RateDistortion(results))?,
+        ),
+        Figure::chart(
+            "rate-times".to_owned(),
+            "Share of events within an error of their own time. What does not reach 100 % came back as \
+             another number of events. Up and left is better.",
+            Sheet::new(&TimeErrors(results))?,
+        ),
+    ];
+    for set in &results.density {
+        let densities: Vec<f64> = set
+            .sources
+            .iter()
+            .flat_map(|source| source.density_per_px_s.iter().copied())
+            .collect();
+        let title = format!("{} windows of the {}", densities.len(), set.set);
+        figures.push(Figure::chart(
+            format!("density-histogram-{}", set.set),
+            "Densities of all windows of a set, empty ones included, with the two thresholds that part the \
+             regimes: its 25th and 75th percentile.",
+            chart::density_histogram(&title, &densities, thresholds(set))?,
+        ));
+        figures.push(Figure::chart(
+            format!("density-over-time-{}", set.set),
+            "Density and regime of one window after the other, source by source in the order of the table.",
+            over_time(set)?,
+        ));
+    }
+    Ok(figures)
+}
+
+fn thresholds(set: &Densities) -> Thresholds {
+    Thresholds {
+        tau_low: set.tau_low,
+        tau_high: set.tau_high,
+    }
+}
+
+fn over_time(set: &Densities) -> Result<Sheet> {
+    let densities = set
+        .sources
+        .iter()
+        .flat_map(|source| source.density_per_px_s.iter());
+    let points: Vec<DensityPoint> = densities
+        .enumerate()
+        .map(|(window, density)| DensityPoint {
+            time_s: window as f64 * f64::from(WINDOW_US) * 1e-6,
+            density: *density,
+        })
+        .collect();
+    let title = format!("The {}, one after the other", set.set);
+    chart::density_over_time(&title, &points, thresholds(set))
+}
+
+/// What a tenth of a window of each set becomes by each method: original, decoded, difference.
+///
+/// # Errors
+/// A codec that does not give back what it promises.
+pub fn of_slices(sets: &[Set]) -> Result<Vec<Figure>> {
+    let mut figures = Vec::new();
+    for set in sets {
+        let Some((source, window)) = dense_window(set) else {
+            continue;
+        };
+        let from_us = window.start_us() + u64::from(3 * SLICE_US);
+        let slice = |events: &[Event]| -> Vec<Event> {
+            let until_us = from_us + u64::from(SLICE_US);
+            let inside = |event: &&Event| (from_us..until_us).contains(&event.t_us);
+            events.iter().filter(inside).copied().collect()
+        };
+        let mut methods = Vec::new();
+        for method in shown() {
+            let trip = method.round_trip(&window, set.thresholds)?;
+            let name = match method {
+                Method::Hybrid { .. } => format!("events, {}", method.setting()),
+                _ => label(method.name()).to_owned(),
+            };
+            methods.push((name, slice(&trip.events)));
+        }
+        let style = FrameStyle::for_sensor(window.sensor);
+        figures.push(Figure {
+            name: format!("table-one-strips-{}", set.name),
+            caption: format!(
+                "{} ms out of a window of {} ({} events): the original, and for each representation at \
+                 M = {M} what came back above its difference to the original.",
+                figure_ms(SLICE_US),
+                source.name,
+                window.events.len()
+            ),
+            svg: None,
+            png: strips(window.sensor, &slice(&window.events), &methods, style),
+        });
+    }
+    Ok(figures)
+}
+
+fn figure_ms(us: u32) -> String {
+    format!("{:.1}", f64::from(us) / 1e3)
+}
+
+/// What strips show.
+fn shown() -> Vec<Method> {
+    let transform = |transform| Method::Transform {
+        transform: Some(transform),
+        m: M,
+        finder: Finder::Exact,
+    };
+    let mut methods = vec![
+        Method::Hybrid {
+            coder: Coder::Dense,
+            fidelity: Fidelity::ToleranceUs(1000),
+        },
+        Method::Hybrid {
+            coder: Coder::Dense,
+            fidelity: Fidelity::Bins(8),
+        },
+    ];
+    methods.extend(Transform::ALL.map(transform));
+    methods.extend(Baseline::ALL.map(|baseline| Method::Baseline {
+        baseline,
+        m: M,
+        stored: Stored::F32,
+    }));
+    methods
+}
+
+/// Of the source of the most events per pixel, the window in the middle of its time.
+fn dense_window(set: &Set) -> Option<(&Source, Source)> {
+    let density = |source: &Source| source.events.len() as f64 / f64::from(source.sensor.pixels());
+    let source = set
+        .sources
+        .iter()
+        .max_by(|a, b| density(a).total_cmp(&density(b)))?;
+    let number = |t_us: u64| (t_us - source.start_us()) / u64::from(WINDOW_US);
+    let middle = source
+        .events
+        .get(source.events.len() / 2)
+        .map(|event| number(event.t_us))?;
+    let events = source
+        .events
+        .iter()
+        .filter(|event| number(event.t_us) == middle);
+    let window = Source {
+        name: source.name.clone(),
+        sensor: source.sensor,
+        events: events.copied().collect(),
+    };
+    Some((source, window))
+}
+
+/// Run time against error of every kernel: the host's measured now on windows of emulated scenes, the
+/// microcontroller's as saved with the project.
+///
+/// # Errors
+/// A kernel that is not within its documented error.
+pub fn of_kernels(effort: bench::Effort) -> Result<Figure> {
+    let windows = bench::windows(&cut::of_scenes()?, effort)?;
+    let mut counts = mcu::saved()?;
+    counts.retain(|count| count.origin == Origin::Emulator.name());
+    let rows = bench::measure(&windows, &counts, effort, &mut || ())?;
+    let mut rows = bench::over_windows(&rows);
+    rows.retain(|row| ["host", "cortex-m4"].contains(&row.target) && !row.is_crowded);
+    let title =
+        "Accumulate stage: run time against error at M = 8, 16, 24, 64; windows of emulated scenes";
+    Ok(Figure {
+        name: "table-three-kernels".to_owned(),
+        caption: "Every kernel and its peers. Filled points are on the front of their M. Down and left is \
+                  better."
+            .to_owned(),
+        svg: Some(kernel_chart::svg(title, &rows)?),
+        png: kernel_chart::picture(title, &rows)?,
+    })
+}

@@ -1,0 +1,9 @@
+//! The page of a study: tables, charts, pictures and prose, all from its rows.
+
+pub mod colours;
+pub mod figures;
+pub mod page;
+pub mod rate_distortion;
+pub mod table;
+pub mod tables;
+pub mod time_errors;

@@ -1,0 +1,233 @@
+//! Bits per event against the error of times: a panel for each set, medians over its sources.
+//!
+//! Both axes are logarithmic; what is exact stands at the foot. A point is a setting of a
+//! representation at the bits of what packs it best; settings of one representation are joined.
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+use super::colours::REPRESENTATIONS;
+use crate::report::kernel_chart::{Drawn, FRONT, GRID, power, text};
+use crate::report::sheet::Chart;
+use crate::study::Results;
+use crate::study::claims::{family, median};
+
+const WIDTH: u32 = 820;
+const HEAD: u32 = 66;
+const PANEL: u32 = 430;
+/// Where no error is, in us; and the least that is drawn above it.
+const FOOT_US: f64 = 0.01;
+const LEAST_US: f64 = 0.1;
+
+/// A point of a representation.
+#[derive(Debug, Clone, PartialEq)]
+struct Point {
+    bits: f64,
+    error_us: f64,
+    label: String,
+    /// Points of one are joined: of one type of numbers, of tolerances, of bins.
+    group: String,
+}
+
+/// The chart of a study's rows.
+#[derive(Debug)]
+pub struct RateDistortion<'r>(pub &'r Results);
+
+impl RateDistortion<'_> {
+    /// Of a representation, group by group in the order of their bits.
+    fn points(&self, set: &str, representation: &str) -> Vec<Point> {
+        let rows = || {
+            self.0.quality.iter().filter(|row| {
+                row.set == set
+                    && family(&row.method) == representation
+                    && row.setting != "peaks"
+                    && row.has_times
+            })
+        };
+        let mut settings: Vec<(&str, u8, &str)> = rows()
+            .map(|row| (row.method.as_str(), row.m, row.setting.as_str()))
+            .collect();
+        settings.sort_unstable();
+        settings.dedup();
+        let mut points: Vec<Point> = settings
+            .into_iter()
+            .filter_map(|(method, m, setting)| {
+                let of = |metric: fn(&crate::study::quality::Quality) -> f64| {
+                    let rows = rows().filter(|row| {
+                        (row.method.as_str(), row.m, row.setting.as_str()) == (method, m, setting)
+                    });
+                    median(rows.map(metric).collect())
+                };
+                let label = match (m, setting) {
+                    (0, "lossless") => method.trim_start_matches("hybrid-").to_owned(),
+                    (0, setting) => setting.to_owned(),
+                    (m, _) => m.to_string(),
+                };
+                Some(Point {
+                    bits: of(|row| row.packed_bits_per_event)?,
+                    error_us: of(|row| row.emd_pixel_us)?,
+                    label,
+                    group: match m {
+                        0 if setting.ends_with("bins") => "bins".to_owned(),
+                        0 => "times".to_owned(),
+                        _ => setting.to_owned(),
+                    },
+                })
+            })
+            .collect();
+        points.sort_by(|a, b| a.group.cmp(&b.group).then(a.bits.total_cmp(&b.bits)));
+        points
+    }
+
+    fn panel<B: DrawingBackend>(
+        &self,
+        set: &str,
+        panel: &DrawingArea<B, Shift>,
+        scale: i32,
+    ) -> Drawn<B>
+    where
+        B::ErrorType: 'static,
+    {
+        let all: Vec<_> = REPRESENTATIONS
+            .iter()
+            .map(|representation| (representation, self.points(set, representation.0)))
+            .collect();
+        let points = || all.iter().flat_map(|(_, points)| points);
+        let least = points()
+            .map(|point| point.bits)
+            .fold(f64::INFINITY, f64::min);
+        let most = points().map(|point| point.bits).fold(0.0, f64::max);
+        let worst = points()
+            .map(|point| point.error_us)
+            .fold(LEAST_US, f64::max);
+        let bits = if least < most {
+            (least / 1.3, most * 1.6)
+        } else {
+            (1.0, 100.0)
+        };
+        let name = self.0.sources(set).len();
+        let mut chart = ChartBuilder::on(panel)
+            .caption(format!("{name} {set}"), text(14, scale))
+            .margin(8 * scale)
+            .margin_right(18 * scale)
+            .x_label_area_size(40 * scale)
+            .y_label_area_size(64 * scale)
+            .build_cartesian_2d(
+                (bits.0..bits.1).log_scale(),
+                (FOOT_US / 2.0..worst * 3.0).log_scale(),
+            )?;
+        chart
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(GRID)
+            .axis_style(FRONT)
+            .label_style(text(12, scale))
+            .axis_desc_style(text(13, scale))
+            .x_desc("bits per event, packed")
+            .y_desc("emd_pixel, us")
+            .x_label_formatter(&|bits| bits_label(*bits))
+            .y_label_formatter(&|error| {
+                if *error < FOOT_US * 1.01 {
+                    "0".to_owned()
+                } else {
+                    power(*error)
+                }
+            })
+            .draw()?;
+        let (left, top) = panel.get_base_pixel();
+        for ((_, _, colour, is_triangle), points) in &all {
+            let places: Vec<_> = points
+                .iter()
+                .map(|point| {
+                    let error = if point.error_us > 0.0 {
+                        point.error_us.max(LEAST_US)
+                    } else {
+                        FOOT_US
+                    };
+                    let (x, y) = chart.backend_coord(&(point.bits, error));
+                    (x - left, y - top)
+                })
+                .collect();
+            let all: Vec<_> = places.into_iter().zip(points).collect();
+            for group in all.chunk_by(|(_, a), (_, b)| a.group == b.group) {
+                let line: Vec<_> = group.iter().map(|(at, _)| *at).collect();
+                panel.draw(&PathElement::new(line, colour.stroke_width(scale as u32)))?;
+            }
+            for (at, point) in all {
+                mark(panel, at, *colour, *is_triangle, scale)?;
+                let beside = (at.0 + 6 * scale, at.1 - 13 * scale);
+                panel.draw_text(&point.label, &text(11, scale).color(colour), beside)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Ones, twos and fives.
+fn bits_label(bits: f64) -> String {
+    let lead = bits / 10_f64.powf(bits.log10().floor());
+    let is_round = [1.0, 2.0, 5.0, 10.0]
+        .iter()
+        .any(|round| (lead - round).abs() < 1e-6);
+    if is_round {
+        format!("{bits:.0}")
+    } else {
+        String::new()
+    }
+}
+
+/// A point of a representation at a place in pixels.
+pub fn mark<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    at: (i32, i32),
+    colour: RGBColor,
+    is_triangle: bool,
+    scale: i32,
+) -> Drawn<B>
+where
+    B::ErrorType: 'static,
+{
+    if is_triangle {
+        area.draw(&TriangleMarker::new(at, 5 * scale, colour.filled()))
+    } else {
+        area.draw(&Circle::new(at, 4 * scale, colour.filled()))
+    }
+}
+
+/// The representations and their colours, in two lines.
+pub fn key<B: DrawingBackend>(head: &DrawingArea<B, Shift>, top: i32, scale: i32) -> Drawn<B>
+where
+    B::ErrorType: 'static,
+{
+    for (i, (_, label, colour, is_triangle)) in REPRESENTATIONS.iter().enumerate() {
+        let (column, line) = (i as i32 % 5, i as i32 / 5);
+        let (x, y) = (20 + 158 * column, top + 18 * line);
+        mark(head, (x * scale, y * scale), *colour, *is_triangle, scale)?;
+        head.draw_text(label, &text(13, scale), ((x + 12) * scale, (y - 6) * scale))?;
+    }
+    Ok(())
+}
+
+impl Chart for RateDistortion<'_> {
+    fn size(&self) -> (u32, u32) {
+        (WIDTH, HEAD + PANEL * self.0.sets().len().max(1) as u32)
+    }
+
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
+    where
+        B::ErrorType: 'static,
+    {
+        area.fill(&WHITE)?;
+        let (head, rest) = area.split_vertically(HEAD as i32 * scale);
+        let title =
+            "Bits per event against the error of times, medians; beside points their M or setting";
+        head.draw_text(title, &text(13, scale), (14 * scale, 8 * scale))?;
+        key(&head, 36, scale)?;
+        let sets = self.0.sets();
+        let panels = rest.split_evenly((sets.len().max(1), 1));
+        for (set, panel) in sets.into_iter().zip(&panels) {
+            self.panel(set, panel, scale)?;
+        }
+        area.present()
+    }
+}

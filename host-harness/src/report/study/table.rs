@@ -1,0 +1,104 @@
+//! A table of text, as HTML and as Markdown.
+
+use std::fmt::Write as _;
+
+/// Rows of cells below a row of headings. The first column is of names, others of numbers.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Table {
+    /// What stands above it.
+    pub title: String,
+    /// What its columns are and what it is measured on.
+    pub caption: String,
+    /// Headings.
+    pub head: Vec<String>,
+    /// As many cells as headings each.
+    pub rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// A table without rows.
+    #[must_use]
+    pub fn new(title: &str, caption: &str, head: &[&str]) -> Self {
+        Self {
+            title: title.to_owned(),
+            caption: caption.to_owned(),
+            head: head.iter().map(|cell| (*cell).to_owned()).collect(),
+            rows: Vec::new(),
+        }
+    }
+
+    /// As HTML, in a box that scrolls where it is too wide. A cell between asterisks is bold.
+    #[must_use]
+    pub fn html(&self) -> String {
+        let mut html = format!(
+            "<section><h3>{}</h3>\n<p>{}</p>\n<div class=\"wide\"><table>\n<thead><tr>",
+            escape(&self.title),
+            escape(&self.caption)
+        );
+        for cell in &self.head {
+            let _ = write!(html, "<th scope=\"col\">{}</th>", escape(cell));
+        }
+        html += "</tr></thead>\n<tbody>\n";
+        for row in &self.rows {
+            html += "<tr>";
+            for (column, cell) in row.iter().enumerate() {
+                let bold = cell
+                    .strip_prefix("**")
+                    .and_then(|cell| cell.strip_suffix("**"));
+                let cell = bold.map_or_else(
+                    || escape(cell),
+                    |cell| format!("<strong>{}</strong>", escape(cell)),
+                );
+                let _ = if column == 0 {
+                    write!(html, "<th scope=\"row\">{cell}</th>")
+                } else {
+                    write!(html, "<td>{cell}</td>")
+                };
+            }
+            html += "</tr>\n";
+        }
+        html + "</tbody></table></div></section>\n"
+    }
+
+    /// As Markdown, without title and caption.
+    #[must_use]
+    pub fn markdown(&self) -> String {
+        let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
+        let rule = format!("|{}\n", "---|".repeat(self.head.len()));
+        let rows: String = self.rows.iter().map(|row| line(row)).collect();
+        line(&self.head) + &rule + &rows
+    }
+}
+
+/// Text as HTML has it.
+#[must_use]
+pub fn escape(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_forms_have_every_cell() {
+        let mut table = Table::new("T < 1", "of & for", &["name", "x"]);
+        table.rows.push(vec!["a\"b".to_owned(), "**1**".to_owned()]);
+        assert_eq!(
+            table.markdown(),
+            "| name | x |\n|---|---|\n| a\"b | **1** |\n"
+        );
+        let html = table.html();
+        for part in [
+            "<h3>T &lt; 1</h3>",
+            "<p>of &amp; for</p>",
+            "<th scope=\"col\">x</th>",
+            "<th scope=\"row\">a&quot;b</th><td><strong>1</strong></td>",
+        ] {
+            assert!(html.contains(part), "{part}: {html}");
+        }
+    }
+}

@@ -1,0 +1,543 @@
+//! Tables I to V of the paper, from a study's rows, with the paper's own figures beside them where
+//! this project has them.
+
+use eecvs_nostd::Transform;
+
+use super::colours::label;
+use super::table::Table;
+use crate::study::Results;
+use crate::study::claims::{figure, median};
+use crate::study::effort::M;
+use crate::study::paper;
+use crate::study::perception::Perception;
+use crate::study::quality::Quality;
+use crate::study::set::{RECORDINGS, SCENES};
+use crate::study::speed::HOST;
+
+/// Columns of Table I: what a reader calls the method, as rows have it.
+const TABLE_ONE: [&str; 9] = [
+    "dct",
+    "dtft",
+    "dwt",
+    "auto",
+    "hybrid-fast",
+    "hybrid-dense",
+    "ces",
+    "tore",
+    "voxel",
+];
+
+/// A column's heading.
+fn heading(method: &str) -> String {
+    match method {
+        "hybrid-fast" => "hybrid (default)".to_owned(),
+        "hybrid-dense" => "hybrid, dense".to_owned(),
+        other => label(other).to_owned(),
+    }
+}
+
+/// A metric: title, what is best of it, and how it is had of a row.
+type Metric = (&'static str, &'static str, Better, fn(&Quality) -> f64);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Better {
+    Less,
+    More,
+    /// Bits are not to be had without the errors beside them.
+    Neither,
+}
+
+const METRICS: [Metric; 6] = [
+    (
+        "emd_pixel, us",
+        "mean way of an event to its own time",
+        Better::Less,
+        |row| row.emd_pixel_us,
+    ),
+    (
+        "emd_time, ms",
+        "distance of the times of a window's events, places ignored",
+        Better::Less,
+        |row| row.emd_time_ms,
+    ),
+    (
+        "mse",
+        "of signed frames of whole windows",
+        Better::Less,
+        |row| row.mse,
+    ),
+    (
+        "ssim",
+        "of signed frames of whole windows",
+        Better::More,
+        |row| row.ssim,
+    ),
+    (
+        "bits per event",
+        "as sent: frames, or dense arrays of f32",
+        Better::Neither,
+        |row| row.bits_per_event,
+    ),
+    (
+        "bits per event, packed",
+        "by what packs each best: the dense coder, or xz of the active pixels' numbers",
+        Better::Neither,
+        |row| row.packed_bits_per_event,
+    ),
+];
+
+/// Table I: a table for each set and metric.
+#[must_use]
+pub fn table_one(results: &Results) -> Vec<Table> {
+    let mut tables = Vec::new();
+    for set in results.sets() {
+        for (name, what, better, metric) in METRICS {
+            let mut head = vec![set.trim_end_matches('s').to_owned()];
+            head.extend(TABLE_ONE.map(heading));
+            let mut table = Table {
+                title: format!("Table I, {set}: {name}"),
+                caption: format!(
+                    "{what}; M = {M}. {}",
+                    match better {
+                        Better::Less => "Bold: the least of the three transforms, CES and TORE.",
+                        Better::More => "Bold: the most of the three transforms, CES and TORE.",
+                        Better::Neither => "",
+                    }
+                ),
+                head,
+                rows: Vec::new(),
+            };
+            let mut columns: Vec<Vec<f64>> = vec![Vec::new(); TABLE_ONE.len()];
+            for source in results.sources(set) {
+                let of = |method: &str| results.row(set, source, method, M).map(metric);
+                let compared = ["dct", "dtft", "dwt", "ces", "tore"]
+                    .into_iter()
+                    .filter_map(of);
+                let best = match better {
+                    Better::Less => compared.min_by(f64::total_cmp),
+                    Better::More => compared.max_by(f64::total_cmp),
+                    Better::Neither => None,
+                };
+                let mut row = vec![source.to_owned()];
+                for (method, column) in TABLE_ONE.iter().zip(&mut columns) {
+                    let value = of(method);
+                    column.extend(value);
+                    let is_compared =
+                        !["auto", "hybrid-fast", "hybrid-dense", "voxel"].contains(method);
+                    row.push(cell(
+                        value,
+                        name,
+                        is_compared && value.is_some() && value == best,
+                    ));
+                }
+                table.rows.push(row);
+            }
+            let mut row = vec!["median".to_owned()];
+            row.extend(
+                columns
+                    .into_iter()
+                    .map(|column| cell(median(column), name, false)),
+            );
+            table.rows.push(row);
+            tables.push(table);
+        }
+    }
+    tables
+}
+
+fn cell(value: Option<f64>, metric: &str, is_best: bool) -> String {
+    let Some(value) = value else {
+        return "n/a".to_owned();
+    };
+    let text = match metric {
+        "ssim" => format!("{value:.4}"),
+        _ => figure(value),
+    };
+    if is_best { format!("**{text}**") } else { text }
+}
+
+/// What the array of an event frame and of a time surface keeps: not in the paper's table.
+#[must_use]
+pub fn other_arrays(results: &Results) -> Table {
+    let mut table = Table::new(
+        "Event frames and time surfaces",
+        "Medians over each set; two channels of f32. An event frame tells nothing of times: its events \
+         are laid evenly over the window.",
+        &[
+            "set",
+            "array",
+            "emd_pixel, us",
+            "emd_time, ms",
+            "mse",
+            "ssim",
+            "bits per event",
+            "packed",
+        ],
+    );
+    for set in results.sets() {
+        for method in ["event-frame", "time-surface"] {
+            let of = |metric: fn(&Quality) -> f64| {
+                let sources = results.sources(set).into_iter();
+                let rows = sources.filter_map(|source| results.row(set, source, method, M));
+                median(rows.map(metric).collect())
+            };
+            table.rows.push(vec![
+                set.to_owned(),
+                label(method).to_owned(),
+                cell(of(|row| row.emd_pixel_us), "", false),
+                cell(of(|row| row.emd_time_ms), "", false),
+                cell(of(|row| row.mse), "", false),
+                cell(of(|row| row.ssim), "ssim", false),
+                cell(of(|row| row.bits_per_event), "", false),
+                cell(of(|row| row.packed_bits_per_event), "", false),
+            ]);
+        }
+    }
+    table
+}
+
+/// Table II: medians over each set at every M.
+#[must_use]
+pub fn table_two(results: &Results) -> Table {
+    let mut table = Table::new(
+        "Table II: over M",
+        "Medians over each set. Solved: event times by the codec's decoder; peaks: by the peaks of the \
+         summed atoms, which is nearer to the paper's decoder.",
+        &[
+            "set, M",
+            "representation",
+            "emd_pixel, us",
+            "by peaks",
+            "emd_time, ms",
+            "by peaks",
+            "bits per event",
+            "packed",
+        ],
+    );
+    let mut m_all: Vec<u8> = results.quality.iter().map(|row| row.m).collect();
+    m_all.sort_unstable();
+    m_all.dedup();
+    for set in results.sets() {
+        for m in m_all.iter().filter(|m| **m >= 8) {
+            for method in ["dct", "dtft", "dwt", "auto", "ces", "tore", "voxel"] {
+                let of = |setting: &[&str], metric: fn(&Quality) -> f64| {
+                    let rows = results.quality.iter().filter(|row| {
+                        row.set == set
+                            && row.method == method
+                            && row.m == *m
+                            && setting.contains(&row.setting.as_str())
+                    });
+                    cell(median(rows.map(metric).collect()), "", false)
+                };
+                let solved = ["exact", "f32"];
+                table.rows.push(vec![
+                    format!("{set}, {m}"),
+                    label(method).to_owned(),
+                    of(&solved, |row| row.emd_pixel_us),
+                    of(&["peaks"], |row| row.emd_pixel_us),
+                    of(&solved, |row| row.emd_time_ms),
+                    of(&["peaks"], |row| row.emd_time_ms),
+                    of(&solved, |row| row.bits_per_event),
+                    of(&solved, |row| row.packed_bits_per_event),
+                ]);
+            }
+        }
+    }
+    table
+}
+
+/// Table III, with the paper's figures.
+#[must_use]
+pub fn table_three(results: &Results) -> Table {
+    let mut table = Table::new(
+        "Table III: speed",
+        "Windows of 3,200 events, M = 8, from events to frames. Relative: over the slowest of the three \
+         transforms. The host is one thread of the machine named at the foot, median of the runs; the \
+         microcontroller's figures are counted instructions, at 168 million of them per second. The \
+         paper's are of a desktop computer, its relative efficiency taken from its events per second.",
+        &[
+            "target",
+            "method",
+            "us per window",
+            "kev/s",
+            "relative",
+            "instructions per event",
+            "paper, kev/s",
+            "paper, relative",
+        ],
+    );
+    for row in &results.speed {
+        let paper = Transform::ALL
+            .into_iter()
+            .find(|transform| transform.name() == row.method)
+            .map(paper::kev_per_s);
+        let slowest = Transform::ALL
+            .map(paper::kev_per_s)
+            .into_iter()
+            .fold(f64::INFINITY, f64::min);
+        let paper_time = if row.target == HOST { paper } else { None };
+        let or_none = |value: Option<f64>| value.map_or("n/a".to_owned(), figure);
+        table.rows.push(vec![
+            row.target.clone(),
+            heading(&row.method),
+            figure(row.us_per_window),
+            figure(row.kev_per_s),
+            figure(row.relative),
+            or_none(row.instructions_per_event),
+            or_none(paper_time),
+            or_none(
+                paper
+                    .filter(|_| row.target == HOST)
+                    .map(|kev| kev / slowest),
+            ),
+        ]);
+    }
+    table
+}
+
+/// Tables IV (M = 16) and V (M = 24) for each set.
+#[must_use]
+pub fn tables_four_and_five(results: &Results) -> Vec<Table> {
+    let mut tables = Vec::new();
+    for (number, m) in [("IV", 16), ("V", 24)] {
+        let mut table = Table::new(
+            &format!("Table {number}: segmentation and optical flow, M = {m}"),
+            &format!(
+                "Means over each set's sources: IoU of the segments of original and decoded events (mean \
+                 IoU of matched segments, and of the foreground) on frames of whole windows and of a \
+                 tenth of a window, whose contents depend on times; and difference of optical flow. {}",
+                if m == 24 {
+                    "The paper: mean IoU 0.87 by its codec and 0.44 by voxel grids, on MVSEC with EventSAM."
+                } else {
+                    "The paper's own cells are of EHPT-XC and MVSEC, segmented with EventSAM."
+                }
+            ),
+            &[
+                "set",
+                "representation",
+                "windows: IoU",
+                "foreground",
+                "tenths: IoU",
+                "foreground",
+                "flow, px per window",
+                "tiles lost, %",
+            ],
+        );
+        for set in results.sets() {
+            let mut shown: Vec<(&str, &str)> = Vec::new();
+            for row in results
+                .perception
+                .iter()
+                .filter(|row| row.set == set && (row.m == m || row.m == 0 || row.m == 2))
+            {
+                if !shown.contains(&(row.method.as_str(), row.setting.as_str())) {
+                    shown.push((&row.method, &row.setting));
+                }
+            }
+            for (method, setting) in shown {
+                let rows = || {
+                    results.perception.iter().filter(|row| {
+                        row.set == set
+                            && row.method == method
+                            && row.setting == setting
+                            && (row.m == m || row.m == 0 || row.m == 2)
+                    })
+                };
+                table.rows.push(vec![
+                    set.to_owned(),
+                    if method.starts_with("hybrid") {
+                        format!("events, {setting}")
+                    } else {
+                        label(method).to_owned()
+                    },
+                    share(rows().filter(|row| row.window_frames > 0), |row| {
+                        row.window_mean_iou
+                    }),
+                    share(rows().filter(|row| row.window_frames > 0), |row| {
+                        row.window_foreground_iou
+                    }),
+                    share(rows().filter(|row| row.slice_frames > 0), |row| {
+                        row.slice_mean_iou
+                    }),
+                    share(rows().filter(|row| row.slice_frames > 0), |row| {
+                        row.slice_foreground_iou
+                    }),
+                    mean(rows().filter(|row| row.flow_mean_px.is_some()), |row| {
+                        row.flow_mean_px.unwrap_or(0.0)
+                    })
+                    .map_or("n/a".to_owned(), figure),
+                    lost(rows()),
+                ]);
+            }
+        }
+        tables.push(table);
+    }
+    tables
+}
+
+fn share<'r>(rows: impl Iterator<Item = &'r Perception>, metric: fn(&Perception) -> f64) -> String {
+    mean(rows, metric).map_or("n/a".to_owned(), |mean| format!("{mean:.3}"))
+}
+
+fn mean<'r>(
+    rows: impl Iterator<Item = &'r Perception>,
+    metric: fn(&Perception) -> f64,
+) -> Option<f64> {
+    let values: Vec<f64> = rows.map(metric).collect();
+    let count = values.len() as f64;
+    (!values.is_empty()).then(|| values.into_iter().sum::<f64>() / count)
+}
+
+fn lost<'r>(rows: impl Iterator<Item = &'r Perception>) -> String {
+    let (lost, tiles) = rows.fold((0, 0), |(lost, tiles), row| {
+        (lost + row.flow_lost, tiles + row.flow_tiles)
+    });
+    if tiles == 0 {
+        return "n/a".to_owned();
+    }
+    format!("{:.1}", 100.0 * lost as f64 / tiles as f64)
+}
+
+/// Regimes of the sets' windows.
+#[must_use]
+pub fn regimes(results: &Results) -> Table {
+    let mut table = Table::new(
+        "Regimes",
+        "Windows of each source by the thresholds of its set, the 25th and 75th percentile of all its \
+         windows' densities.",
+        &[
+            "source",
+            "windows",
+            "sparse: DWT",
+            "moderate: DTFT",
+            "dense: DCT",
+        ],
+    );
+    for set in &results.density {
+        let name = match set.set.as_str() {
+            SCENES => "all scenes",
+            RECORDINGS => "all recordings",
+            other => other,
+        };
+        let all = set.sources.iter().fold([0; 3], |sum: [u64; 3], source| {
+            std::array::from_fn(|i| sum[i] + source.regimes[i])
+        });
+        let line = |name: &str, regimes: [u64; 3]| {
+            let mut row = vec![name.to_owned(), regimes.iter().sum::<u64>().to_string()];
+            row.extend(regimes.map(|n| n.to_string()));
+            row
+        };
+        table.rows.extend(
+            set.sources
+                .iter()
+                .map(|source| line(&source.source, source.regimes)),
+        );
+        table.rows.push(line(
+            &format!(
+                "{name}: {} and {} events/px/s",
+                figure(set.tau_low),
+                figure(set.tau_high)
+            ),
+            all,
+        ));
+    }
+    table
+}
+
+/// What the study is of.
+#[must_use]
+pub fn sources(results: &Results) -> Table {
+    let mut table = Table::new(
+        "Sources",
+        "What is measured of each: scenes are emulated, recordings are cut after the last whole window \
+         that keeps them within a number of events.",
+        &[
+            "source",
+            "set",
+            "pixels",
+            "events",
+            "seconds",
+            "SHA-256 of the events",
+        ],
+    );
+    table
+        .rows
+        .extend(results.record.sources.iter().map(|source| {
+            vec![
+                source.source.clone(),
+                source.set.clone(),
+                format!("{} x {}", source.sensor[0], source.sensor[1]),
+                source.events.to_string(),
+                format!("{:.3}", source.duration_s),
+                source.sha256.get(..16).unwrap_or_default().to_owned(),
+            ]
+        }));
+    table
+}
+
+/// What the README has: the answer, and medians of Table I.
+#[must_use]
+pub fn document(results: &Results) -> String {
+    let mut text = String::new();
+    for answer in results.answer() {
+        text += &super::page::text(&answer);
+        text += "\n\n";
+    }
+    let mut table = Table::new(
+        "",
+        "",
+        &[
+            "medians, M = 16",
+            "bits/event",
+            "packed",
+            "emd_pixel, us",
+            "emd_time, ms",
+            "mse",
+            "ssim",
+        ],
+    );
+    for set in results.sets() {
+        for method in TABLE_ONE.into_iter().chain(["event-frame", "time-surface"]) {
+            let of = |metric: fn(&Quality) -> f64| {
+                let sources = results.sources(set).into_iter();
+                let rows = sources.filter_map(|source| results.row(set, source, method, M));
+                median(rows.map(metric).collect())
+            };
+            table.rows.push(vec![
+                format!("{set}: {}", heading(method)),
+                cell(of(|row| row.bits_per_event), "", false),
+                cell(of(|row| row.packed_bits_per_event), "", false),
+                cell(of(|row| row.emd_pixel_us), "", false),
+                cell(of(|row| row.emd_time_ms), "", false),
+                cell(of(|row| row.mse), "", false),
+                cell(of(|row| row.ssim), "ssim", false),
+            ]);
+        }
+    }
+    text + &table.markdown()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::cmd::report::MARKS;
+    use crate::report::marks::of_project;
+
+    #[test]
+    fn the_readme_is_of_the_committed_record() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("record/results.json");
+        let text = std::fs::read_to_string(path).unwrap();
+        let results: Results = serde_json::from_str(&text).unwrap();
+        let readme = of_project("README.md");
+        let lines = |text: &str| text.trim().lines().map(str::to_owned).collect::<Vec<_>>();
+        assert_eq!(
+            lines(MARKS.content(&readme).unwrap()),
+            lines(&document(&results))
+        );
+        assert_eq!(results.record.effort, "full");
+        assert_eq!(results.sets().len(), 2);
+        assert_eq!(table_one(&results).len(), 2 * METRICS.len());
+    }
+}

@@ -1,0 +1,111 @@
+//! How much a study measures.
+
+use eecvs_nostd::{Coder, Fidelity, Transform};
+
+use super::method::Method;
+use crate::baseline::{Baseline, Stored};
+use crate::reconstruct::events::Finder;
+
+/// M of Table I.
+pub const M: u8 = 16;
+/// M of Table III.
+pub const M_SPEED: u8 = 8;
+/// M of Tables II, IV and V.
+pub const M_ALL: [u8; 3] = [8, 16, 24];
+
+/// Sizes of the sources, and which settings are measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Effort {
+    /// `full` or `quick`.
+    pub name: &'static str,
+    /// Length of an emulated scene.
+    pub scene_us: u64,
+    /// A recording is cut after the last whole window that keeps it within so many events; a source
+    /// has one window at least.
+    pub events_max: usize,
+    /// M of the tables.
+    pub m: &'static [u8],
+    /// Further M of the curves of rate and distortion.
+    pub m_curve: &'static [u8],
+    /// Tolerances of times in us of the curves.
+    pub tolerances_us: &'static [u32],
+    /// Bins of the curves.
+    pub bins: &'static [u16],
+    /// Seconds for which the time of a window is taken.
+    pub speed_s: f64,
+}
+
+impl Effort {
+    /// For figures.
+    pub const FULL: Self = Self {
+        name: "full",
+        scene_us: 10 * 32_768,
+        events_max: 100_000,
+        m: &M_ALL,
+        m_curve: &[2, 4],
+        tolerances_us: &[10, 50, 200, 1000, 4000],
+        bins: &[4, 8, 16],
+        speed_s: 3.0,
+    };
+    /// For a first look: three windows of each scene.
+    pub const QUICK: Self = Self {
+        name: "quick",
+        scene_us: 3 * 32_768,
+        events_max: 50_000,
+        m: &[8, 16],
+        m_curve: &[4],
+        tolerances_us: &[50, 1000],
+        bins: &[8],
+        speed_s: 0.5,
+    };
+
+    /// Every way that a source is encoded and decoded.
+    #[must_use]
+    pub fn methods(&self) -> Vec<Method> {
+        let mut methods = Vec::new();
+        let hybrid = |coder, fidelity| Method::Hybrid { coder, fidelity };
+        methods.push(hybrid(Coder::Fast, Fidelity::Lossless));
+        methods.push(hybrid(Coder::Dense, Fidelity::Lossless));
+        for tolerance_us in self.tolerances_us {
+            methods.push(hybrid(Coder::Dense, Fidelity::ToleranceUs(*tolerance_us)));
+        }
+        for bins in self.bins {
+            methods.push(hybrid(Coder::Dense, Fidelity::Bins(*bins)));
+        }
+        let transforms = Transform::ALL.into_iter().map(Some).chain([None]);
+        for transform in transforms {
+            for m in self.m {
+                for finder in [Finder::Exact, Finder::Peaks] {
+                    methods.push(Method::Transform {
+                        transform,
+                        m: *m,
+                        finder,
+                    });
+                }
+            }
+            // The choice by density is a table's row; its curve would lie between those of three others.
+            for m in self.m_curve.iter().filter(|_| transform.is_some()) {
+                let finder = Finder::Exact;
+                methods.push(Method::Transform {
+                    transform,
+                    m: *m,
+                    finder,
+                });
+            }
+        }
+        for baseline in Baseline::ALL {
+            let has_channels = !matches!(baseline, Baseline::EventFrame | Baseline::TimeSurface);
+            let channels = if has_channels { self.m } else { &[2] };
+            for m in channels {
+                for stored in [Stored::F32, Stored::Bits8] {
+                    methods.push(Method::Baseline {
+                        baseline,
+                        m: *m,
+                        stored,
+                    });
+                }
+            }
+        }
+        methods
+    }
+}

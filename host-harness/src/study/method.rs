@@ -1,0 +1,233 @@
+//! The ways that events are encoded and decoded: the codec's and the baselines'.
+
+use anyhow::{Context, Result};
+use eecvs_nostd::{Coder, Event, Fidelity, Hybrid, Mode, Thresholds, Transform};
+
+use super::effort::M;
+use crate::baseline::{self, Baseline, Stored};
+use crate::bench::rate::check::{Promise, check};
+use crate::reconstruct::events::Finder;
+use crate::round_trip::{Encoded, config, decode};
+use crate::source::Source;
+
+/// One of them, with its settings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Method {
+    /// Coefficients, as the paper has them; by density where there is no transform.
+    Transform {
+        /// `None`: chosen by the window's density.
+        transform: Option<Transform>,
+        /// Coefficients kept.
+        m: u8,
+        /// How event times are found in them.
+        finder: Finder,
+    },
+    /// Events, as the codec sends them by default.
+    Hybrid {
+        /// `fast` is the default.
+        coder: Coder,
+        /// `Lossless` is the default.
+        fidelity: Fidelity,
+    },
+    /// A representation that the paper compares with.
+    Baseline {
+        /// Which.
+        baseline: Baseline,
+        /// Channels, or complex coefficients.
+        m: u8,
+        /// Type of its numbers.
+        stored: Stored,
+    },
+}
+
+/// A source there and back.
+#[derive(Debug, Clone)]
+pub struct Trip {
+    /// As it is sent: frames with the mode's default coder, or dense arrays.
+    pub bytes: usize,
+    /// The same by what packs it best: the dense coder, or xz of the active pixels.
+    pub packed_bytes: usize,
+    /// Spent encoding, one thread.
+    pub seconds: f64,
+    /// What came back.
+    pub events: Vec<Event>,
+    /// Whether its times are more than a guess.
+    pub has_times: bool,
+    /// Windows by transform: DCT, DTFT, DWT; 0 where there is none.
+    pub windows: [u64; 3],
+}
+
+impl Method {
+    /// Name of the representation: `dct`, `dtft`, `dwt`, `auto`, `hybrid-fast`, `hybrid-dense`, or the
+    /// baseline's.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Transform { transform, .. } => match transform {
+                Some(transform) => transform.name(),
+                None => "auto",
+            },
+            Self::Hybrid { coder, .. } => match coder {
+                Coder::Fast => "hybrid-fast",
+                Coder::Dense => "hybrid-dense",
+            },
+            Self::Baseline { baseline, .. } => baseline.name(),
+        }
+    }
+
+    /// What else tells it from others: `exact`, `peaks`; `lossless`, `50 us`, `8 bins`; `f32`, `8 bits`.
+    #[must_use]
+    pub fn setting(self) -> String {
+        match self {
+            Self::Transform { finder, .. } => match finder {
+                Finder::Exact => "exact".to_owned(),
+                Finder::Peaks => "peaks".to_owned(),
+            },
+            Self::Hybrid { fidelity, .. } => match fidelity {
+                Fidelity::Lossless => "lossless".to_owned(),
+                Fidelity::ToleranceUs(us) => format!("{us} us"),
+                Fidelity::Bins(bins) => format!("{bins} bins"),
+            },
+            Self::Baseline { stored, .. } => stored.name().to_owned(),
+        }
+    }
+
+    /// Coefficients or channels of a pixel; 0 where events are sent.
+    #[must_use]
+    pub const fn m(self) -> u8 {
+        match self {
+            Self::Transform { m, .. } | Self::Baseline { m, .. } => m,
+            Self::Hybrid { .. } => 0,
+        }
+    }
+
+    /// Tells it from all others.
+    #[must_use]
+    pub fn key(self) -> String {
+        format!("{} {} {}", self.name(), self.m(), self.setting())
+    }
+
+    /// About how long an event takes, in units of the fastest.
+    #[must_use]
+    pub const fn cost(self) -> u64 {
+        match self {
+            Self::Transform {
+                transform,
+                m,
+                finder,
+            } => {
+                let m = m as u64;
+                match (transform, finder) {
+                    (Some(Transform::Dwt), _) => 1,
+                    (_, Finder::Peaks) => m / 4 + 1,
+                    (Some(Transform::Dct), Finder::Exact) => m * m / 4 + 1,
+                    (_, Finder::Exact) => m * m + 1,
+                }
+            }
+            Self::Baseline {
+                baseline: Baseline::Ces,
+                m,
+                ..
+            } => m as u64 * 4,
+            Self::Hybrid { .. } | Self::Baseline { .. } => 1,
+        }
+    }
+
+    /// Whether the errors of its times are shown: those of Table I, as its page has them.
+    #[must_use]
+    pub const fn has_time_errors(self) -> bool {
+        match self {
+            Self::Transform { m, .. } => m == M,
+            Self::Hybrid { coder, .. } => matches!(coder, Coder::Dense),
+            Self::Baseline {
+                m,
+                stored,
+                baseline,
+            } => {
+                (m == M || matches!(baseline, Baseline::TimeSurface))
+                    && matches!(stored, Stored::F32)
+            }
+        }
+    }
+
+    /// Whether perception is tried on what it gives back: Tables IV and V.
+    #[must_use]
+    pub const fn has_perception(self) -> bool {
+        match self {
+            Self::Transform { m, finder, .. } => m >= M && matches!(finder, Finder::Exact),
+            Self::Hybrid { coder, fidelity } => {
+                matches!(coder, Coder::Dense)
+                    && matches!(fidelity, Fidelity::ToleranceUs(_) | Fidelity::Bins(_))
+            }
+            Self::Baseline { m, stored, .. } => (m >= M || m == 2) && matches!(stored, Stored::F32),
+        }
+    }
+
+    /// Encodes a source and decodes it again. Thresholds part the regimes of what is chosen by density.
+    ///
+    /// # Errors
+    /// Events that are not those that the method promises; the message names both.
+    pub fn round_trip(self, source: &Source, thresholds: Thresholds) -> Result<Trip> {
+        self.trip(source, thresholds)
+            .with_context(|| format!("{}, {}", source.name, self.key()))
+    }
+
+    fn trip(self, source: &Source, thresholds: Thresholds) -> Result<Trip> {
+        match self {
+            Self::Baseline {
+                baseline,
+                m,
+                stored,
+            } => {
+                let decoded = baseline::round_trip(baseline, source, m, stored)?;
+                Ok(Trip {
+                    bytes: decoded.array_bytes,
+                    packed_bytes: decoded.packed_bytes,
+                    seconds: decoded.seconds,
+                    events: decoded.events,
+                    has_times: decoded.has_times,
+                    windows: [0; 3],
+                })
+            }
+            Self::Hybrid { coder, fidelity } => {
+                let promise = match fidelity {
+                    Fidelity::Lossless => Promise::Lossless,
+                    Fidelity::ToleranceUs(us) => Promise::Within(us.into()),
+                    Fidelity::Bins(_) => Promise::Counts,
+                };
+                let mode = Mode::Hybrid(Hybrid { coder, fidelity });
+                let encoded = Encoded::new(source, config(source, thresholds, mode, None, M))?;
+                let events = decode(&encoded.file, Finder::Exact, &mut |_| Ok(()))?;
+                check(promise, &source.events, &events)?;
+                Ok(Trip {
+                    bytes: encoded.file.len(),
+                    packed_bytes: encoded.file.len(),
+                    seconds: encoded.seconds,
+                    events,
+                    has_times: true,
+                    windows: [0; 3],
+                })
+            }
+            Self::Transform {
+                transform,
+                m,
+                finder,
+            } => {
+                let config = |mode| config(source, thresholds, mode, transform, m);
+                let plain = Encoded::new(source, config(Mode::Transform))?;
+                // The same coefficients, to the bit, so that they are not decoded again.
+                let dense = Encoded::new(source, config(Mode::Coefficients(Coder::Dense)))?;
+                let events = decode(&plain.file, finder, &mut |_| Ok(()))?;
+                check(Promise::Counts, &source.events, &events)?;
+                Ok(Trip {
+                    bytes: plain.file.len(),
+                    packed_bytes: dense.file.len().min(plain.file.len()),
+                    seconds: plain.seconds,
+                    events,
+                    has_times: true,
+                    windows: plain.windows,
+                })
+            }
+        }
+    }
+}

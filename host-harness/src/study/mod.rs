@@ -1,0 +1,170 @@
+//! The paper's evaluation, on emulated scenes and on recordings.
+//!
+//! ```text
+//! set (scenes, recordings) -> source -> method -> events -> quality      Tables I and II, rate-distortion
+//!                                                        -> times        how far off event times are
+//!                                                        -> perception   Tables IV and V, optical flow
+//!                             windows -> speed                           Table III
+//!                             density                                    histogram, regime over time
+//! ```
+//!
+//! Every measurement is a row of one of the tables of [`Results`], kept in a [`store`] as soon as it
+//! is made, so that a study goes on where it was ended. [`claims`] holds the rows against what the
+//! paper says.
+
+pub mod claims;
+pub mod density;
+pub mod effort;
+pub mod method;
+pub mod paper;
+pub mod perception;
+pub mod quality;
+pub mod record;
+pub mod set;
+pub mod speed;
+pub mod store;
+pub mod times;
+
+use std::cmp::Reverse;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use anyhow::Result;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::downstream::segment::Segmenter;
+use crate::source::Source;
+use density::Densities;
+use effort::Effort;
+use method::Method;
+use perception::{Perception, Reference};
+use quality::Quality;
+use record::Record;
+use set::Set;
+use speed::Speed;
+use store::{Row, Store};
+use times::Times;
+
+/// Everything that a study found; what the page is made of, and `results.json`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Results {
+    /// Of what, by what, when.
+    pub record: Record,
+    /// Tables I and II, and rate-distortion.
+    pub quality: Vec<Quality>,
+    /// Table III.
+    pub speed: Vec<Speed>,
+    /// Tables IV and V, and optical flow.
+    pub perception: Vec<Perception>,
+    /// Errors of event times.
+    pub times: Vec<Times>,
+    /// Densities of the sets' windows.
+    pub density: Vec<Densities>,
+}
+
+/// Makes the segmenter of a thread.
+pub type NewSegmenter<'f> = &'f (dyn Fn() -> Result<Box<dyn Segmenter>> + Sync);
+
+/// A method on a source, which is decoded once for all that is measured of it.
+struct Task<'s> {
+    set: &'s Set,
+    source: &'s Source,
+    /// What perception makes of it, which all methods are held against.
+    reference: &'s OnceLock<Reference>,
+    method: Method,
+}
+
+/// Measures what the store does not have yet, on every core; `progress` is told what is done and of
+/// how much.
+///
+/// Rows that hold times of a clock ([`speed`]) are measured first, while nothing else runs.
+///
+/// # Errors
+/// A codec that does not give back what it promises, or a store that cannot be written.
+pub fn run(
+    sets: &[Set],
+    effort: &Effort,
+    segmenter: NewSegmenter<'_>,
+    store: &Store,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<()> {
+    if !store.has("speed") {
+        store.add("speed", speed::measure(effort)?.into_iter().map(Row::Speed))?;
+    }
+    let sources = || {
+        sets.iter()
+            .flat_map(|set| set.sources.iter().map(move |source| (set, source)))
+    };
+    let references: Vec<OnceLock<Reference>> = sources().map(|_| OnceLock::new()).collect();
+    for set in sets {
+        let key = format!("density {}", set.name);
+        if !store.has(&key) {
+            store.add(&key, [Row::Density(density::measure(set))])?;
+        }
+    }
+    let mut tasks = Vec::new();
+    for ((set, source), reference) in sources().zip(&references) {
+        tasks.extend(effort.methods().into_iter().map(|method| Task {
+            set,
+            source,
+            reference,
+            method,
+        }));
+    }
+    tasks.sort_by_cached_key(|task| Reverse(task.cost()));
+    let total = tasks.len();
+    let left: Vec<&Task<'_>> = tasks
+        .iter()
+        .filter(|task| !store.has(&task.key()))
+        .collect();
+    let done = AtomicUsize::new(total - left.len());
+    progress(total - left.len(), total);
+    left.par_iter().try_for_each(|task| {
+        let rows = task.measure(segmenter)?;
+        store.add(&task.key(), rows)?;
+        let done = 1 + done.fetch_add(1, Ordering::Relaxed);
+        progress(done, total);
+        Ok(())
+    })
+}
+
+impl Task<'_> {
+    fn key(&self) -> String {
+        format!(
+            "{} {} {}",
+            self.set.name,
+            self.source.name,
+            self.method.key()
+        )
+    }
+
+    /// The long ones come first, so that no core ends alone with one.
+    fn cost(&self) -> u64 {
+        self.source.events.len() as u64 * self.method.cost()
+    }
+
+    fn measure(&self, segmenter: NewSegmenter<'_>) -> Result<Vec<Row>> {
+        let Self {
+            set,
+            source,
+            reference,
+            method,
+        } = *self;
+        let trip = method.round_trip(source, set.thresholds)?;
+        let mut rows = vec![Row::Quality(quality::measure(set, source, method, &trip)?)];
+        if method.has_time_errors() {
+            rows.push(Row::Times(times::measure(set, source, method, &trip)));
+        }
+        if method.has_perception() {
+            let mut segmenter = segmenter()?;
+            let of =
+                perception::measure(set, source, method, &trip, segmenter.as_mut(), reference)?;
+            rows.push(Row::Perception(of));
+        }
+        Ok(rows)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,101 @@
+//! What a method keeps of a source, and at how many bits: Tables I and II, and the curves.
+
+use std::sync::Arc;
+
+use anyhow::Result;
+use eecvs_nostd::Event;
+use serde::{Deserialize, Serialize};
+
+use super::method::{Method, Trip};
+use super::set::Set;
+use crate::metrics::compare;
+use crate::source::{Memory, Source, WINDOW_US};
+
+/// A row; the fields are the columns of `quality.csv`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Quality {
+    /// `scenes` or `recordings`.
+    pub set: String,
+    /// Of the set.
+    pub source: String,
+    /// As [`Method::name`] has it.
+    pub method: String,
+    /// Coefficients or channels; 0 where events are sent.
+    pub m: u8,
+    /// As [`Method::setting`] has it.
+    pub setting: String,
+    /// Of the source.
+    pub events: u64,
+    /// Events per pixel and second of the source, over its windows.
+    pub density_per_px_s: f64,
+    /// 8 * bytes / events, as it is sent: frames, or dense arrays.
+    pub bits_per_event: f64,
+    /// 8 * bytes / events by what packs it best.
+    pub packed_bits_per_event: f64,
+    /// As `eecvs compare` has it.
+    pub mse: f64,
+    /// As `eecvs compare` has it.
+    pub ssim: f64,
+    /// As `eecvs compare` has it.
+    pub emd_time_ms: f64,
+    /// As `eecvs compare` has it.
+    pub emd_pixel_us: f64,
+    /// As `eecvs compare` has it.
+    pub exact_fraction: f64,
+    /// Events that came back.
+    pub events_decoded: u64,
+    /// Whether their times are more than a guess.
+    pub has_times: bool,
+    /// Windows by transform; 0 where there is none.
+    pub windows_dct: u64,
+    /// As `windows_dct`.
+    pub windows_dtft: u64,
+    /// As `windows_dct`.
+    pub windows_dwt: u64,
+}
+
+/// Compares what came back with the source.
+///
+/// # Errors
+/// What [`compare`] reports.
+pub fn measure(set: &Set, source: &Source, method: Method, trip: &Trip) -> Result<Quality> {
+    let events: Arc<[Event]> = trip.events.as_slice().into();
+    let sensor = source.sensor;
+    let found = compare(
+        &|| Ok(Box::new(source.reader())),
+        &|| Ok(Box::new(Memory::new(sensor, Arc::clone(&events)))),
+        WINDOW_US.into(),
+        &mut |_| (),
+    )?;
+    let per_event = |bytes: usize| 8.0 * bytes as f64 / source.events.len() as f64;
+    let [windows_dct, windows_dtft, windows_dwt] = trip.windows;
+    Ok(Quality {
+        set: set.name.to_owned(),
+        source: source.name.clone(),
+        method: method.name().to_owned(),
+        m: method.m(),
+        setting: method.setting(),
+        events: found.events_a,
+        density_per_px_s: density_per_px_s(source),
+        bits_per_event: per_event(trip.bytes),
+        packed_bits_per_event: per_event(trip.packed_bytes),
+        mse: found.mse,
+        ssim: found.ssim,
+        emd_time_ms: found.emd_time_ms,
+        emd_pixel_us: found.emd_pixel_us,
+        exact_fraction: found.exact_fraction,
+        events_decoded: found.events_b,
+        has_times: trip.has_times,
+        windows_dct,
+        windows_dtft,
+        windows_dwt,
+    })
+}
+
+/// Over all windows from the first event's to the last one's.
+fn density_per_px_s(source: &Source) -> f64 {
+    let last_us = source.events.last().map_or(0, |event| event.t_us);
+    let windows = (last_us - source.start_us()) / u64::from(WINDOW_US) + 1;
+    let seconds = windows as f64 * f64::from(WINDOW_US) * 1e-6;
+    source.events.len() as f64 / f64::from(source.sensor.pixels()) / seconds
+}

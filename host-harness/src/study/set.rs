@@ -1,0 +1,133 @@
+//! The sets of sources that a study is made on, each calibrated by itself.
+
+use std::num::NonZeroU32;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context, Result, ensure};
+use eecvs_nostd::Thresholds;
+
+use super::effort::Effort;
+use crate::calibrate::Calibration;
+use crate::scene::PRESETS;
+use crate::source::{self, Source, WINDOW_US};
+use crate::thresholds_file::ThresholdsFile;
+
+/// Seed of every scene.
+pub const SEED: u64 = 1;
+/// Name of the set of emulated scenes.
+pub const SCENES: &str = "scenes";
+/// Name of the set of recordings.
+pub const RECORDINGS: &str = "recordings";
+
+/// Sources that share thresholds.
+#[derive(Debug, Clone)]
+pub struct Set {
+    /// [`SCENES`] or [`RECORDINGS`].
+    pub name: &'static str,
+    /// One or more.
+    pub sources: Vec<Source>,
+    /// 25th and 75th percentile of the densities of all their windows.
+    pub thresholds: Thresholds,
+    /// The same in events per pixel per second.
+    pub tau: [f64; 2],
+}
+
+impl Set {
+    /// The nine scenes of the paper's Table I, emulated.
+    ///
+    /// # Errors
+    /// None: they are fixed.
+    pub fn scenes(effort: &Effort) -> Result<Self> {
+        let sources = PRESETS.into_iter();
+        let sources = sources.map(|preset| Source::scene(preset, SEED, effort.scene_us));
+        Self::new(SCENES, sources.collect::<Result<_>>()?)
+    }
+
+    /// The start of every recording in a folder, `None` where there is none; `progress` is told how
+    /// many have been read.
+    ///
+    /// # Errors
+    /// A folder that cannot be listed, or a recording that cannot be read; the message names it.
+    pub fn recordings(
+        folder: &Path,
+        effort: &Effort,
+        progress: &dyn Fn(usize),
+    ) -> Result<Option<Self>> {
+        let mut sources = Vec::new();
+        for (i, (name, path)) in source::files(&[folder.to_owned()])?.iter().enumerate() {
+            progress(i);
+            sources.push(start(source::recording(name, path)?, effort.events_max));
+        }
+        if sources.is_empty() {
+            return Ok(None);
+        }
+        Self::new(RECORDINGS, sources).map(Some)
+    }
+
+    fn new(name: &'static str, sources: Vec<Source>) -> Result<Self> {
+        let window_us = NonZeroU32::new(WINDOW_US).context("a window of 0 us")?;
+        let mut calibration = Calibration::new(window_us);
+        for source in &sources {
+            calibration.add(&mut source.reader(), &mut |_| ())?;
+        }
+        let file = ThresholdsFile::new(&calibration.thresholds()?, Vec::new());
+        let tau = [file.tau_low_pico, file.tau_high_pico].map(|pico| pico as f64 * 1e-12);
+        ensure!(!sources.is_empty(), "no sources");
+        Ok(Self {
+            name,
+            sources,
+            thresholds: file.thresholds()?,
+            tau,
+        })
+    }
+}
+
+/// As many whole windows from the first on as hold at most `events_max` events, and one at least.
+fn start(source: Source, events_max: usize) -> Source {
+    if source.events.len() <= events_max {
+        return source;
+    }
+    let window = |t_us: u64| (t_us - source.start_us()) / u64::from(WINDOW_US);
+    let Some(next) = source.events.get(events_max) else {
+        return source;
+    };
+    let whole = window(next.t_us).max(1);
+    let end = source
+        .events
+        .partition_point(|event| window(event.t_us) < whole);
+    let events: Arc<[_]> = source.events.get(..end).unwrap_or_default().into();
+    Source { events, ..source }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::memory_reader::{SENSOR, event};
+
+    #[test]
+    fn a_start_is_of_whole_windows() {
+        let times = [5, 10, 32_772, 32_773, 32_774, 70_000];
+        let source = Source {
+            name: "test".to_owned(),
+            sensor: SENSOR,
+            events: times.map(|t_us| event(t_us, 0, 0, true)).to_vec().into(),
+        };
+        let events = |most| start(source.clone(), most).events.len();
+        assert_eq!(
+            [0, 1, 2, 3, 4, 5, 6, 7].map(events),
+            [3, 3, 3, 3, 3, 5, 6, 6]
+        );
+    }
+
+    #[test]
+    fn scenes_are_calibrated_on_themselves() {
+        let effort = Effort {
+            scene_us: 40_000,
+            ..Effort::QUICK
+        };
+        let set = Set::scenes(&effort).unwrap();
+        assert_eq!(set.sources.len(), 9);
+        assert!(set.tau[0] < set.tau[1]);
+    }
+}

@@ -1,0 +1,249 @@
+//! The rows of a study on disk, so that one that was ended goes on.
+//!
+//! `rows.jsonl`: a line of what is measured ([`Record`]), then a line for each finished task with its
+//! rows. A line that was not finished, as the last one of a study that was killed, is measured again.
+
+use std::collections::BTreeSet;
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+
+use super::Results;
+use super::density::Densities;
+use super::perception::Perception;
+use super::quality::Quality;
+use super::record::Record;
+use super::speed::Speed;
+use super::times::Times;
+
+/// A row of any table.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Row {
+    /// Tables I and II.
+    Quality(Quality),
+    /// Table III.
+    Speed(Speed),
+    /// Tables IV and V.
+    Perception(Perception),
+    /// Errors of times.
+    Times(Times),
+    /// Densities of a set.
+    Density(Densities),
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct Finished {
+    task: String,
+    rows: Vec<Row>,
+}
+
+/// The file, open to be added to.
+#[derive(Debug)]
+pub struct Store {
+    path: PathBuf,
+    record: Record,
+    inside: Mutex<Inside>,
+}
+
+#[derive(Debug)]
+struct Inside {
+    file: File,
+    tasks: BTreeSet<String>,
+    rows: Vec<(String, Row)>,
+}
+
+impl Store {
+    /// Opens the store of a study, and begins it where there is none, or one of another study; with
+    /// `same_program` also where another build began it. The second is the number of tasks that are in
+    /// it.
+    ///
+    /// # Errors
+    /// A file that cannot be read or written; the message names it.
+    pub fn open(path: &Path, record: Record, same_program: bool) -> Result<(Self, usize)> {
+        let name = || format!("{}: cannot be opened", path.display());
+        let text = match std::fs::read(path) {
+            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+            Err(error) => return Err(error).with_context(name),
+        };
+        let mut lines = text.split_inclusive('\n');
+        let first: Option<Record> = lines
+            .next()
+            .filter(|line| line.ends_with('\n'))
+            .and_then(|line| serde_json::from_str(line).ok());
+        let known = first.filter(|known| known.is_same_study(&record, same_program));
+        let mut whole = String::new();
+        let (mut tasks, mut rows) = (BTreeSet::new(), Vec::new());
+        if known.is_some() {
+            for line in lines.filter(|line| line.ends_with('\n')) {
+                let Ok(finished) = serde_json::from_str::<Finished>(line) else {
+                    continue;
+                };
+                if tasks.insert(finished.task.clone()) {
+                    whole += line;
+                    let task = finished.task;
+                    rows.extend(finished.rows.into_iter().map(|row| (task.clone(), row)));
+                }
+            }
+        }
+        let record = known.unwrap_or(record);
+        let head = serde_json::to_string(&record)? + "\n" + &whole;
+        std::fs::write(path, head)
+            .with_context(|| format!("{}: cannot be written", path.display()))?;
+        let file = OpenOptions::new()
+            .append(true)
+            .open(path)
+            .with_context(name)?;
+        let count = tasks.len();
+        let store = Self {
+            path: path.to_owned(),
+            record,
+            inside: Mutex::new(Inside { file, tasks, rows }),
+        };
+        Ok((store, count))
+    }
+
+    /// Whether a task is finished.
+    #[must_use]
+    pub fn has(&self, task: &str) -> bool {
+        self.inside
+            .lock()
+            .is_ok_and(|inside| inside.tasks.contains(task))
+    }
+
+    /// Adds the rows of a task, and is done with it.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn add(&self, task: &str, rows: impl IntoIterator<Item = Row>) -> Result<()> {
+        let finished = Finished {
+            task: task.to_owned(),
+            rows: rows.into_iter().collect(),
+        };
+        let line = serde_json::to_string(&finished)? + "\n";
+        // A thread that panicked while it held the lock has left the rows whole or not there.
+        let mut inside = self
+            .inside
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        inside
+            .file
+            .write_all(line.as_bytes())
+            .with_context(|| format!("{}: cannot be written", self.path.display()))?;
+        inside.tasks.insert(finished.task.clone());
+        inside.rows.extend(
+            finished
+                .rows
+                .into_iter()
+                .map(|row| (finished.task.clone(), row)),
+        );
+        Ok(())
+    }
+
+    /// Everything so far, in the order of the tasks' names, whichever came first.
+    #[must_use]
+    pub fn results(&self) -> Results {
+        let inside = self
+            .inside
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut rows: Vec<&(String, Row)> = inside.rows.iter().collect();
+        rows.sort_by(|a, b| a.0.cmp(&b.0));
+        let mut results = Results {
+            record: self.record.clone(),
+            quality: Vec::new(),
+            speed: Vec::new(),
+            perception: Vec::new(),
+            times: Vec::new(),
+            density: Vec::new(),
+        };
+        for (_, row) in rows {
+            match row.clone() {
+                Row::Quality(row) => results.quality.push(row),
+                Row::Speed(row) => results.speed.push(row),
+                Row::Perception(row) => results.perception.push(row),
+                Row::Times(row) => results.times.push(row),
+                Row::Density(row) => results.density.push(row),
+            }
+        }
+        results
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::study::effort::Effort;
+
+    fn row() -> Row {
+        Row::Speed(Speed {
+            target: "t".to_owned(),
+            method: "dct".to_owned(),
+            m: 8,
+            events_per_window: 3200.0,
+            us_per_window: 0.1 + 0.2,
+            spread_us: 0.0,
+            kev_per_s: 1.0,
+            relative: 1.0,
+            instructions_per_event: None,
+        })
+    }
+
+    #[test]
+    fn what_was_ended_goes_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rows.jsonl");
+        let record = Record::new(&[], &Effort::QUICK, "built-in");
+        let (store, count) = Store::open(&path, record.clone(), true).unwrap();
+        assert_eq!(count, 0);
+        store.add("one", [row()]).unwrap();
+        store.add("two", [row(), row()]).unwrap();
+        drop(store);
+        // Killed within a line.
+        let mut file = OpenOptions::new().append(true).open(&path).unwrap();
+        file.write_all(b"{\"task\":\"three\",\"rows\":[").unwrap();
+        let (store, count) = Store::open(&path, record.clone(), true).unwrap();
+        assert_eq!(count, 2);
+        assert!(store.has("two") && !store.has("three"));
+        store.add("three", []).unwrap();
+        assert_eq!(store.results().speed.len(), 3);
+        assert_eq!(Row::Speed(store.results().speed[0].clone()), row());
+        // On another day it is the same study; of other sources or another seed it is not.
+        let later = Record {
+            date: "2030-01-01".to_owned(),
+            ..record.clone()
+        };
+        let (store, count) = Store::open(&path, later, true).unwrap();
+        assert_eq!((count, store.results().record), (3, record.clone()));
+        let rebuilt = Record {
+            program: "another".to_owned(),
+            ..record.clone()
+        };
+        assert_eq!(Store::open(&path, rebuilt.clone(), false).unwrap().1, 3);
+        let other = Record {
+            seed: 7,
+            ..record.clone()
+        };
+        assert_eq!(Store::open(&path, rebuilt, true).unwrap().1, 0);
+        assert_eq!(Store::open(&path, other, false).unwrap().1, 0);
+    }
+
+    #[test]
+    fn a_file_of_something_else_is_begun_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rows.jsonl");
+        for bytes in [&b"\xff\xfe\n{}"[..], b"{}\n{}\n", b"\n\n"] {
+            std::fs::write(&path, bytes).unwrap();
+            let record = Record::new(&[], &Effort::QUICK, "built-in");
+            let (store, count) = Store::open(&path, record, true).unwrap();
+            assert_eq!(count, 0);
+            store.add("one", [row()]).unwrap();
+            assert_eq!(store.results().speed.len(), 1);
+        }
+    }
+}

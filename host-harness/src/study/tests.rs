@@ -1,0 +1,150 @@
+//! A small study, whole.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use eecvs_nostd::{Coder, Fidelity};
+
+use super::*;
+use crate::baseline::Baseline;
+use crate::downstream::segment::classical::Classical;
+use crate::scene::Preset;
+use crate::study::claims::{Claim, Verdict};
+use crate::study::effort::M;
+
+const EFFORT: Effort = Effort {
+    scene_us: 40_000,
+    m: &[8, 16],
+    m_curve: &[4],
+    tolerances_us: &[50],
+    bins: &[8],
+    speed_s: 0.01,
+    ..Effort::QUICK
+};
+
+fn set() -> Set {
+    let scenes = Set::scenes(&EFFORT).unwrap();
+    let keep = [Preset::OutdoorDark.name(), Preset::IndoorHdrBlur.name()];
+    let sources = scenes.sources.into_iter();
+    Set {
+        sources: sources
+            .filter(|source| keep.contains(&source.name.as_str()))
+            .collect(),
+        ..scenes
+    }
+}
+
+fn segmenter() -> Result<Box<dyn Segmenter>> {
+    Ok(Box::new(Classical))
+}
+
+#[test]
+fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rows.jsonl");
+    let sets = [set()];
+    let record = Record::new(&sets, &EFFORT, "built-in");
+    let (store, _) = Store::open(&path, record.clone(), true).unwrap();
+    run(&sets, &EFFORT, &segmenter, &store, &|_, _| ()).unwrap();
+    let results = store.results();
+    let methods = EFFORT.methods();
+    assert_eq!(results.quality.len(), 2 * methods.len());
+    for row in &results.quality {
+        let all = [
+            row.bits_per_event,
+            row.packed_bits_per_event,
+            row.mse,
+            row.ssim,
+            row.emd_time_ms,
+            row.emd_pixel_us,
+        ];
+        assert!(all.iter().all(|value| value.is_finite()), "{row:?}");
+        let is_lossless = row.setting == "lossless";
+        assert!(row.exact_fraction == 1.0 || !is_lossless, "{row:?}");
+        // Arrays may tell all times of a quiet scene.
+        assert_eq!(
+            row.exact_fraction == 1.0,
+            row.emd_pixel_us == 0.0,
+            "{row:?}"
+        );
+        // Counts are on the codec's link.
+        if Baseline::ALL
+            .iter()
+            .all(|baseline| baseline.name() != row.method)
+        {
+            assert_eq!((row.mse, row.events_decoded), (0.0, row.events), "{row:?}");
+        }
+    }
+    let with = |has: fn(Method) -> bool| methods.iter().filter(|method| has(**method)).count();
+    assert_eq!(results.times.len(), 2 * with(Method::has_time_errors));
+    assert_eq!(results.perception.len(), 2 * with(Method::has_perception));
+    for times in &results.times {
+        let source = sets[0]
+            .sources
+            .iter()
+            .find(|s| s.name == times.source)
+            .unwrap();
+        let all = times.counts.iter().sum::<u64>() + times.unpaired;
+        assert_eq!(all, source.events.len() as u64, "{times:?}");
+    }
+
+    // What is there is not measured again, and another run of what is not gives the same rows.
+    let text = std::fs::read_to_string(&path).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    let kept = lines.len() - 12;
+    std::fs::write(&path, lines[..kept].join("\n") + "\n").unwrap();
+    let (store, count) = Store::open(&path, record, true).unwrap();
+    // The first line is the record.
+    assert_eq!(count, kept - 1);
+    let first = AtomicUsize::new(usize::MAX);
+    run(&sets, &EFFORT, &segmenter, &store, &|done, total| {
+        assert_eq!(total, 2 * methods.len());
+        first.fetch_min(done, Ordering::Relaxed);
+    })
+    .unwrap();
+    // Speed and density are rows too, but no task of a source.
+    assert_eq!(first.into_inner(), count - 2);
+    let again = store.results();
+    assert_eq!(again.quality, results.quality);
+    assert_eq!(again.times, results.times);
+    assert_eq!(again.perception, results.perception);
+    claims(results);
+}
+
+/// What the rows tell of the paper's claims, and what they would tell if the DTFT were the best.
+fn claims(mut results: Results) {
+    assert_eq!(results.claims().len(), 6);
+    let nothing = Results {
+        quality: Vec::new(),
+        speed: Vec::new(),
+        perception: Vec::new(),
+        ..results.clone()
+    };
+    let holds = |claim: &Claim| claim.verdict == Verdict::Holds;
+    assert!(!nothing.claims().iter().any(holds));
+    let answer = &results.answer()[0];
+    let (method, emd, sources) = &answer.at_lossless[0];
+    assert_eq!((method.as_str(), *emd, *sources), ("events", Some(0.0), 2));
+    assert!(answer.dense_bits < answer.default_bits);
+    // A DTFT that is better than all is seen, and one that is not.
+    for (emd, wins) in [(0.0, "in 2,"), (1e9, "in 0,")] {
+        for row in results
+            .quality
+            .iter_mut()
+            .filter(|row| row.method == "dtft" && row.m == M)
+        {
+            (row.emd_time_ms, row.emd_pixel_us) = (emd, emd);
+        }
+        let claim = &results.claims()[0];
+        assert!(
+            claim
+                .here
+                .contains(&format!("emd_pixel_us is lowest by the DTFT {wins}")),
+            "{claim:?}"
+        );
+    }
+    let lossless = Method::Hybrid {
+        coder: Coder::Fast,
+        fidelity: Fidelity::Lossless,
+    };
+    assert_eq!(lossless.key(), "hybrid-fast 0 lossless");
+}
