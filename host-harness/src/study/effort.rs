@@ -43,7 +43,7 @@ impl Effort {
         events_max: 100_000,
         m: &M_ALL,
         m_curve: &[2, 4],
-        tolerances_us: &[10, 50, 200, 1000, 4000],
+        tolerances_us: &[10, 50, 100, 200, 300, 500, 1000, 4000],
         bins: &[4, 8, 16],
         speed_s: 3.0,
     };
