@@ -8,6 +8,8 @@
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
 #   usb       the USB link: its tests, libusb against a mocked device, simulated cameras in a guest
 #             with a real kernel
+#   metrics   the metrics against scipy and scikit-image, in a Python of its own: only when it is named (the
+#             unit stage compares them where the system's Python has these)
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
 #             it is named
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 3)
@@ -16,6 +18,9 @@
 # What is missing is installed where that is possible; where it is not, the stage says so.
 set -euo pipefail
 cd "$(dirname "$0")"
+
+# Features that are off by default but tested, in every build of the whole workspace alike.
+FEATURES=(--features host-harness/onnx)
 
 # Notes what a stage leaves out.
 skip() { echo "skipped: $1"; echo "$1" >>"$SKIPPED"; }
@@ -48,7 +53,7 @@ lint() {
         cargo fmt --all --check --manifest-path firmware/Cargo.toml
     fi
     if component clippy clippy; then
-        cargo clippy --workspace --all-targets -- -D warnings
+        cargo clippy --workspace --all-targets "${FEATURES[@]}" -- -D warnings
     fi
     RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 }
@@ -68,32 +73,13 @@ emulator() {
     packages qemu-system-arm
 }
 
-# What the metrics are compared with, in a Python of its own if that is possible.
-scipy() {
-    local folder=target/python
-    if ! have python3; then
-        skip "unit: the metrics against scipy and scikit-image: there is no python3"
-        return
-    fi
-    python3 -c "import numpy, scipy, skimage" >/dev/null 2>&1 && return
-    if ! "$folder/bin/python" -c "import numpy, scipy, skimage" >/dev/null 2>&1; then
-        echo "installing numpy, scipy and scikit-image"
-        if ! python3 -m venv "$folder" >/dev/null 2>&1 ||
-            ! "$folder/bin/pip" install -q numpy scipy scikit-image >/dev/null 2>&1; then
-            skip "unit: the metrics against scipy and scikit-image: pip cannot install them"
-            return
-        fi
-    fi
-    export EECVS_PYTHON=$PWD/$folder/bin/python
-}
-
 unit() {
     umockdev
-    scipy
     # The firmware stage tells where there is none.
     emulator || true
+    target thumbv7em-none-eabihf || true
     # The dev profile checks arithmetic overflow and debug assertions.
-    cargo test --workspace
+    cargo test --workspace "${FEATURES[@]}"
     # The bits must not depend on the profile.
     cargo test --release -p eecvs-tests --test golden --test wire_format
     host_instructions
@@ -111,6 +97,19 @@ host_instructions() {
     host-harness/instructions.sh --check || status=$?
     [ "$status" != 77 ] || skip "unit: instructions: the saved ones are of another compiler"
     [ "$status" = 0 ] || [ "$status" = 77 ]
+}
+
+metrics() {
+    local folder=target/python
+    if ! "$folder/bin/python" -c "import numpy, scipy, skimage" >/dev/null 2>&1; then
+        echo "installing numpy, scipy and scikit-image in $folder"
+        if ! python3 -m venv "$folder" || ! "$folder/bin/pip" install -q numpy scipy scikit-image; then
+            skip "metrics: pip cannot install numpy, scipy and scikit-image"
+            return
+        fi
+    fi
+    EECVS_PYTHON=$PWD/$folder/bin/python \
+        cargo test --workspace "${FEATURES[@]}" --test metrics_reference -- --nocapture
 }
 
 # A target's core library, installed if rustup may.
@@ -165,12 +164,12 @@ firmware() {
         done
     fi
     # Of the whole workspace: of a part, the dependencies have other features and are built again.
-    cargo test --workspace --test firmware_image -- --nocapture
+    cargo test --workspace "${FEATURES[@]}" --test firmware_image -- --nocapture
     for machine in netduinoplus2 mps2-an386 mps2-an500 microbit; do
         echo "golden vectors on $machine"
         qemu "$machine" golden
     done
-    ran unit || cargo test --workspace --test mcu
+    ran unit || cargo test --workspace "${FEATURES[@]}" --test mcu
     firmware/instructions.sh --check
     firmware/kernels.sh --check
     # The first events of every recording; without a number, all of them.
@@ -244,7 +243,7 @@ stages=("$@")
 [ ${#stages[@]} -gt 0 ] || stages=(lint unit nostd firmware usb fuzz demo)
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
+        lint | unit | metrics | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: no stage '$stage'; see the head of this file" >&2; exit 2 ;;
     esac
 done

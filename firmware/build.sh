@@ -45,8 +45,18 @@ export RUSTFLAGS="${flags[*]}" DEFMT_LOG="${DEFMT_LOG:-info}"
 # What the machines' builds have in common, such as derive macros, is built once.
 export CARGO_BUILD_BUILD_DIR=$PWD/target/build
 
-if ! [ -d "$(rustc --print target-libdir --target "$target")" ]; then
-    if command -v rustup >/dev/null && rustup target add "$target" >&2; then
+has_library() { [ -d "$(rustc --print target-libdir --target "$target")" ]; }
+
+# Of two builds at a time that both miss it, one adds it.
+add_library() (
+    mkdir -p target
+    exec 9>target/library.lock
+    ! command -v flock >/dev/null || flock 9
+    has_library || rustup target add "$target" >&2
+)
+
+if ! has_library; then
+    if command -v rustup >/dev/null && add_library; then
         :
     elif [ -d /usr/lib/rustlib/src/rust/library ] && [ -x /usr/bin/rustc ]; then
         # The distribution's compiler with its own library sources.

@@ -225,6 +225,4 @@ recordings! {
     es_csv_1ms_grid: "es_csv_1ms_grid/dvs.csv",
     derived_text: "derived_layouts/davis346_building_txyp.txt",
     derived_npz: "derived_layouts/davis346_building_xytp.npz",
-    derived_mvsec: "derived_layouts/davis346_building_mvsec_layout.hdf5",
-    derived_dsec: "derived_layouts/davis346_building_dsec_layout.h5",
 }

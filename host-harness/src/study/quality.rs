@@ -92,8 +92,9 @@ pub fn measure(set: &Set, source: &Source, method: Method, trip: &Trip) -> Resul
     })
 }
 
-/// Over all windows from the first event's to the last one's.
-fn density_per_px_s(source: &Source) -> f64 {
+/// Events per pixel and second of a source, over all windows from the first event's to the last one's.
+#[must_use]
+pub fn density_per_px_s(source: &Source) -> f64 {
     let last_us = source.events.last().map_or(0, |event| event.t_us);
     let windows = (last_us - source.start_us()) / u64::from(WINDOW_US) + 1;
     let seconds = windows as f64 * f64::from(WINDOW_US) * 1e-6;

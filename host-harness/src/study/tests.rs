@@ -23,7 +23,7 @@ const EFFORT: Effort = Effort {
 
 fn set() -> Set {
     let scenes = Set::scenes(&EFFORT).unwrap();
-    let keep = [Preset::OutdoorDark.name(), Preset::IndoorHdrBlur.name()];
+    let keep = [Preset::OutdoorDark.name(), Preset::IndoorDarkBlur.name()];
     let sources = scenes.sources.into_iter();
     Set {
         sources: sources

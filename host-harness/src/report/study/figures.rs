@@ -21,6 +21,7 @@ use crate::study::density::Densities;
 use crate::study::effort::M;
 use crate::study::method::Method;
 use crate::study::perception::SLICE_US;
+use crate::study::quality;
 use crate::study::set::Set;
 
 /// A picture on the page, and beside it.
@@ -183,13 +184,13 @@ fn shown() -> Vec<Method> {
     methods
 }
 
-/// Of the source of the most events per pixel, the window in the middle of its time.
+/// Of the densest source, the window in the middle of its events.
 fn dense_window(set: &Set) -> Option<(&Source, Source)> {
-    let density = |source: &Source| source.events.len() as f64 / f64::from(source.sensor.pixels());
-    let source = set
-        .sources
-        .iter()
-        .max_by(|a, b| density(a).total_cmp(&density(b)))?;
+    let by_density = |a: &&Source, b: &&Source| {
+        let density = |source: &Source| quality::density_per_px_s(source);
+        density(a).total_cmp(&density(b))
+    };
+    let source = set.sources.iter().max_by(by_density)?;
     let number = |t_us: u64| (t_us - source.start_us()) / u64::from(WINDOW_US);
     let middle = source
         .events
