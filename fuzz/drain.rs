@@ -20,7 +20,7 @@ pub fn source(data: &[u8]) -> Box<dyn ReadSeek> {
 }
 
 /// Reads to the end or to an error, and checks what a reader promises.
-pub fn drain<R: EventReader>(opened: Result<R, impl Sized>) {
+pub fn drain(opened: anyhow::Result<Box<dyn EventReader>>) {
     let Ok(mut reader) = opened else { return };
     let sensor = reader.sensor();
     let mut events: Vec<Event> = Vec::new();

@@ -1,18 +1,26 @@
 #!/bin/sh
 # Runs fuzz targets and fails on a crash: run.sh [SECONDS] [TARGET...]
-# SECONDS per target (default 5), all targets by default. Works with stable Rust: without a
-# sanitizer, whose work the compiler's own checks do in safe code. Needs
-# `cargo install cargo-fuzz --locked`.
+# SECONDS per target (default 5), all targets by default; the readers' are read_FORMAT, with a format's
+# name as `eecvs info` prints it. Works with stable Rust: without a sanitizer, whose work the compiler's
+# own checks do in safe code. Needs `cargo install cargo-fuzz --locked`.
 set -eu
 cd "$(dirname "$0")"
 seconds=${1:-5}
 [ $# -gt 0 ] && shift
-[ $# -gt 0 ] || set -- $(ls fuzz_targets | sed 's/\.rs$//')
+if [ $# = 0 ]; then
+    # The names in the table of formats.
+    formats=$(sed -n 's/^    name: "\(.*\)",$/read_\1/p' ../host-harness/src/formats/*.rs)
+    set -- $(ls fuzz_targets | sed 's/\.rs$//; /^read$/d') $formats
+fi
 for target in "$@"; do
     echo "== $target, $seconds s"
-    mkdir -p "corpus/$target"
+    mkdir -p artifacts "corpus/$target"
+    program=$target
+    case $target in
+        read_*) program=read; export EECVS_FORMAT="${target#read_}" ;;
+    esac
     # The first folder collects new inputs; the second holds the committed seeds.
-    cargo fuzz run --sanitizer none "$target" "corpus/$target" $(ls -d "seeds/$target" 2>/dev/null) -- \
+    cargo fuzz run --sanitizer none "$program" "corpus/$target" $(ls -d "seeds/$target" 2>/dev/null) -- \
         -max_total_time="$seconds" -max_len=8192 -rss_limit_mb=1024 -timeout=10 \
-        -verbosity=0 -print_final_stats=1
+        -artifact_prefix="artifacts/$target-" -verbosity=0 -print_final_stats=1
 done

@@ -18,6 +18,7 @@ use std::path::Path;
 use anyhow::Context;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
+use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::wrapping::Wrapping;
 use super::{EventWriter, Skipped, create_file};
@@ -95,6 +96,22 @@ impl Chip {
         }
     }
 }
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "aedat2",
+    title: "AEDAT 2",
+    endings: &[".aedat"],
+    detect: |start| start.begins(MAGIC),
+    open: |Opening { source, name, .. }| Ok(Box::new(Aedat2Reader::new(source, name)?)),
+    has_places: false,
+    limits: Limits {
+        x_max: 239,
+        y_max: 179,
+        ..Limits::NONE
+    },
+    create: Some(|path, sensor| Ok(Box::new(Aedat2Writer::create(path, sensor)?))),
+};
 
 /// Reader of AEDAT 2.0 files.
 pub type Aedat2Reader = Reader<Aedat2Decoder>;

@@ -19,7 +19,9 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 use lz4_flex::frame::FrameDecoder;
 
 use super::Skipped;
+use super::aedat4_writer::Aedat4Writer;
 use super::flatbuffer::{Buffer, Vector};
+use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader};
 
 /// First bytes of every AEDAT 4.0 file.
@@ -61,6 +63,20 @@ struct Stream {
     size: Option<(u64, u64)>,
     source: Option<String>,
 }
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "aedat4",
+    title: "AEDAT 4",
+    endings: &[".aedat4"],
+    detect: |start| start.begins(MAGIC),
+    open: |Opening {
+               source, name, size, ..
+           }| Ok(Box::new(Aedat4Reader::new(source, name, size)?)),
+    has_places: false,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(Aedat4Writer::create(path, sensor)?))),
+};
 
 /// Reader of AEDAT 4.0 files.
 pub type Aedat4Reader = Reader<Aedat4Decoder>;

@@ -12,6 +12,7 @@ use anyhow::Context;
 use eecvs_nostd::evt2::{Evt2Decoder as WordDecoder, Word};
 use eecvs_nostd::{Event, Polarity, Sensor};
 
+use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::raw_header::{self, RawHeader};
 use super::wrapping::Wrapping;
@@ -22,6 +23,20 @@ const TIME_HIGH_BITS: u32 = 28;
 const TIME_LOW_BITS: u32 = 6;
 /// 4.8 hours.
 const PERIOD_US: u64 = 1 << (TIME_HIGH_BITS + TIME_LOW_BITS);
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "evt2",
+    title: "Prophesee RAW EVT 2",
+    endings: &[".evt2.raw", ".evt2"],
+    detect: |start| start.holds(raw_header::Words::Evt2),
+    open: |Opening {
+               source, name, size, ..
+           }| Ok(Box::new(Evt2Reader::new(source, name, size)?)),
+    has_places: false,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(Evt2Writer::create(path, sensor)?))),
+};
 
 /// Reader of EVT 2.0 files.
 pub type Evt2Reader = Reader<Evt2Decoder>;

@@ -28,6 +28,7 @@ use std::path::Path;
 use anyhow::Context;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
+use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::raw_header::{self, RawHeader};
 use super::wrapping::Wrapping;
@@ -52,6 +53,20 @@ pub const TIME_BITS: u32 = 12;
 
 /// Events that one word can hold.
 const VECTOR_EVENTS: usize = 12;
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "evt3",
+    title: "Prophesee RAW EVT 3",
+    endings: &[".raw", ".evt3"],
+    detect: |start| start.holds(raw_header::Words::Evt3),
+    open: |Opening {
+               source, name, size, ..
+           }| Ok(Box::new(Evt3Reader::new(source, name, size)?)),
+    has_places: false,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(Evt3Writer::create(path, sensor)?))),
+};
 
 /// Reader of EVT 3.0 files.
 pub type Evt3Reader = Reader<Evt3Decoder>;

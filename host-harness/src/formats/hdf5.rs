@@ -20,9 +20,35 @@ pub use super::hdf5_file::MAGIC;
 
 use super::Skipped;
 use super::event_numbers::{self, Row};
+use super::format::{Format, Limits, Opening, Start};
 use super::hdf5_file::Hdf5;
 use super::hdf5_layout::Plan;
 use super::input::{Batch, Decode, ReadSeek, Reader};
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "hdf5",
+    title: "HDF5",
+    endings: &[".h5", ".hdf5"],
+    detect: is_hdf5,
+    open: |Opening {
+               source,
+               name,
+               place,
+               size,
+           }| Ok(Box::new(Hdf5Reader::new(source, name, place, size)?)),
+    has_places: true,
+    limits: Limits::NONE,
+    create: None,
+};
+
+/// Whether a file begins with HDF5's signature, behind a user block if there is one.
+fn is_hdf5(start: &Start) -> bool {
+    [0, 512, 1024, 2048].iter().any(|at| {
+        let rest = start.bytes.get(*at..);
+        rest.is_some_and(|rest| rest.starts_with(MAGIC))
+    })
+}
 
 /// Reader of HDF5 files.
 pub type Hdf5Reader = Reader<Hdf5Decoder>;

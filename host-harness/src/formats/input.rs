@@ -165,6 +165,15 @@ pub trait Decode: Send {
     /// As [`EventReader::skipped`].
     fn skipped(&self) -> &Skipped;
 
+    /// As [`EventReader::seek`].
+    ///
+    /// # Errors
+    /// As [`EventReader::seek`].
+    fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
+        let _ = t_us;
+        Ok(false)
+    }
+
     /// Appends events until the batch has no more room.
     ///
     /// Appending none means the end. Events appended before an error are valid.
@@ -255,6 +264,13 @@ impl<D: Decode> EventReader for Reader<D> {
             }
             Ok(()) => Ok(read),
         }
+    }
+
+    fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
+        let sought = self.held.is_none() && self.decoder.seek(t_us)?;
+        // The end may have been reached before.
+        self.ended &= !sought;
+        Ok(sought)
     }
 
     fn skipped(&self) -> &Skipped {

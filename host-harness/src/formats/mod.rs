@@ -12,6 +12,7 @@ mod event_numbers;
 pub mod evt2;
 pub mod evt3;
 mod flatbuffer;
+mod format;
 pub mod hdf5;
 mod hdf5_file;
 mod hdf5_layout;
@@ -35,28 +36,13 @@ use std::path::Path;
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
-use aedat2::{Aedat2Reader, Aedat2Writer};
-use aedat4::Aedat4Reader;
 pub use aedat4_writer::{Aedat4Writer, Compression};
-use evt2::{Evt2Reader, Evt2Writer};
-use evt3::{Evt3Reader, Evt3Writer};
-use hdf5::Hdf5Reader;
-use input::{Input, ReadSeek};
-use npz::NpzReader;
+pub use format::{FORMATS, Format, Limits, Opening, Start, create, open, open_source};
 pub use npz_writer::NpzWriter;
-use raw_header::{RawHeader, Words};
-use text::TextReader;
 pub use text_writer::TextWriter;
 
 /// Events of one call of [`EventReader::read`], at the most (a reader may return fewer).
 pub const BATCH_EVENTS: usize = 1 << 14;
-
-/// Bytes that detection looks at.
-const DETECT_BYTES: usize = 4096;
-
-const READABLE: &str = "AEDAT 4 and 2, Prophesee RAW EVT 2 and 3, text t x y p, npz, HDF5";
-const WRITABLE: &str = ".aedat4, .aedat (AEDAT 2), .raw (EVT 3), .evt2.raw or .evt2 (EVT 2), .csv, \
-                        .txt, .npz";
 
 /// What a recording holds besides events; skipped, counted by name, never silent.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -98,6 +84,17 @@ pub trait EventReader: Send {
     /// A damaged or truncated file: the message names the file, the offset and what to do.
     fn read(&mut self, events: &mut Vec<Event>) -> anyhow::Result<usize>;
 
+    /// Goes on at a place behind which every event of `t_us` and later stands, where the format tells it
+    /// without all that is before being read; false where nothing was done. Times are taken to ascend, as
+    /// the format's index does: an event that stands before earlier ones may be left out.
+    ///
+    /// # Errors
+    /// A damaged index.
+    fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
+        let _ = t_us;
+        Ok(false)
+    }
+
     /// What it means that [`EventReader::read`] gave no events: the end, but for a live source.
     fn pause(&self) -> Pause {
         Pause::Ended
@@ -129,143 +126,6 @@ pub trait EventWriter {
     /// # Errors
     /// I/O.
     fn finish(self: Box<Self>) -> anyhow::Result<()>;
-}
-
-/// Opens a recording, its format found by content; `size` is used where the file has none.
-///
-/// A dataset or group of an HDF5 file is named behind it: `FILE.hdf5/davis/right/events`.
-///
-/// # Errors
-/// Unknown format, unreadable file, damaged header.
-pub fn open(path: &Path, size: Option<Sensor>) -> anyhow::Result<Box<dyn EventReader>> {
-    let name = path.display().to_string();
-    if let Some((file, place)) = place_inside(path) {
-        let name = file.display().to_string();
-        let source = File::open(file).with_context(|| format!("{name}: cannot be opened"))?;
-        let reader = Hdf5Reader::new(Box::new(source), &name, Some(&place), size)?;
-        return Ok(Box::new(reader));
-    }
-    let metadata = std::fs::metadata(path).with_context(|| format!("{name}: cannot be opened"))?;
-    anyhow::ensure!(
-        !metadata.is_dir(),
-        "{name}: is a directory, not a recording"
-    );
-    let file = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
-    open_source(Box::new(file), &name, size)
-}
-
-/// The file and the rest of a path that leads into a file.
-fn place_inside(path: &Path) -> Option<(&Path, String)> {
-    let file = path.ancestors().skip(1).find(|file| file.is_file())?;
-    let rest = path.strip_prefix(file).ok()?;
-    let names: Option<Vec<&str>> = rest.iter().map(|name| name.to_str()).collect();
-    Some((file, names?.join("/")))
-}
-
-/// As [`open`], for a file or bytes in memory, which messages call `name`.
-///
-/// # Errors
-/// As [`open`].
-pub fn open_source(
-    source: Box<dyn ReadSeek>,
-    name: &str,
-    size: Option<Sensor>,
-) -> anyhow::Result<Box<dyn EventReader>> {
-    let mut input = Input::new(source, name)?;
-    let mut start = vec![0; DETECT_BYTES];
-    let filled = input.fill(&mut start)?;
-    start.truncate(filled);
-    if start.is_empty() {
-        anyhow::bail!("{name}: byte 0: the file is empty");
-    }
-    let begins = |magic: &[u8]| start.starts_with(magic);
-    if begins(aedat2::MAGIC) {
-        return Ok(Box::new(Aedat2Reader::new(input.into_source(), name)?));
-    }
-    if begins(aedat4::MAGIC) {
-        return Ok(Box::new(Aedat4Reader::new(
-            input.into_source(),
-            name,
-            size,
-        )?));
-    }
-    if begins(b"#!AER-DAT") {
-        anyhow::bail!("{name}: byte 0: only AEDAT 2.0 and 4.0 are known: convert it with DV");
-    }
-    // Behind a user block, if there is one.
-    if [0, 512, 1024, 2048].iter().any(|at| {
-        let rest = start.get(*at..);
-        rest.is_some_and(|rest| rest.starts_with(hdf5::MAGIC))
-    }) {
-        let source = input.into_source();
-        return Ok(Box::new(Hdf5Reader::new(source, name, None, size)?));
-    }
-    if begins(npz::MAGIC) {
-        return Ok(Box::new(NpzReader::new(input.into_source(), name, size)?));
-    }
-    if begins(b"%") {
-        input.seek(0)?;
-        let words = RawHeader::read(&mut input)?.words;
-        let source = input.into_source();
-        match words {
-            Ok(Words::Evt2) => return Ok(Box::new(Evt2Reader::new(source, name, size)?)),
-            Ok(Words::Evt3) => return Ok(Box::new(Evt3Reader::new(source, name, size)?)),
-            Err(other) if !other.is_empty() => {
-                anyhow::bail!("{name}: byte 0: {other} is not known: record EVT2 or EVT3")
-            }
-            Err(_) => return Ok(Box::new(TextReader::new(source, name, size)?)),
-        }
-    }
-    if is_text(&start) {
-        return Ok(Box::new(TextReader::new(input.into_source(), name, size)?));
-    }
-    anyhow::bail!("{name}: byte 0: not a recording of a known format ({READABLE})")
-}
-
-/// Creates a recording; the extension names the format.
-///
-/// # Errors
-/// Unknown extension, unwritable file, a sensor that the format cannot hold.
-pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
-    let name = path
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_ascii_lowercase();
-    let is = |extension: &str| name.ends_with(extension);
-    if is(".aedat4") {
-        return Ok(Box::new(Aedat4Writer::create(path, sensor)?));
-    }
-    if is(".aedat") {
-        return Ok(Box::new(Aedat2Writer::create(path, sensor)?));
-    }
-    if is(".evt2.raw") || is(".evt2") {
-        return Ok(Box::new(Evt2Writer::create(path, sensor)?));
-    }
-    if is(".raw") {
-        return Ok(Box::new(Evt3Writer::create(path, sensor)?));
-    }
-    if is(".csv") || is(".txt") {
-        return Ok(Box::new(TextWriter::create(path, sensor)?));
-    }
-    if is(".npz") {
-        return Ok(Box::new(NpzWriter::create(path, sensor)?));
-    }
-    anyhow::bail!(
-        "{}: no format has this extension: use {WRITABLE}",
-        path.display()
-    )
-}
-
-/// Whether a file may be lines of events: its first line is text without control characters but
-/// separators. What follows may be damaged, which the reader reports after the events before it.
-fn is_text(start: &[u8]) -> bool {
-    let first = start
-        .split(|byte| *byte == b'\n')
-        .next()
-        .unwrap_or_default();
-    let control = |byte: &u8| byte.is_ascii_control() && !b"\t\r".contains(byte);
-    std::str::from_utf8(first).is_ok() && !first.iter().any(control)
 }
 
 /// Opens `path` for writing; also returns its name for messages.

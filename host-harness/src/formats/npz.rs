@@ -17,11 +17,27 @@ use eecvs_nostd::{Event, Sensor};
 
 use super::Skipped;
 use super::event_numbers;
+use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, ReadSeek, Reader};
 use super::npz_layout::{Field, NpzFile, Plan, Stream, count, fill};
+use super::npz_writer::NpzWriter;
 
 /// First bytes of a zip file with an entry.
 pub const MAGIC: &[u8; 4] = b"PK\x03\x04";
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "npz",
+    title: "npz",
+    endings: &[".npz"],
+    detect: |start| start.begins(MAGIC),
+    open: |Opening {
+               source, name, size, ..
+           }| Ok(Box::new(NpzReader::new(source, name, size)?)),
+    has_places: false,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(NpzWriter::create(path, sensor)?))),
+};
 
 /// Reader of npz files.
 pub type NpzReader = Reader<NpzDecoder>;

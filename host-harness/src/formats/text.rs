@@ -25,9 +25,11 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::Skipped;
 use super::decimal::Decimal;
+use super::format::{self, Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader};
 pub use super::text_layout::Layout;
 use super::text_layout::{Header, Unit, polarity};
+use super::text_writer::TextWriter;
 
 /// Longest line.
 const LINE_MAX: usize = 4096;
@@ -37,6 +39,40 @@ const FIELDS_MAX: usize = 32;
 
 /// Event lines that the layout is found from.
 const SAMPLE_LINES: usize = 1000;
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "text",
+    title: "text t x y p",
+    endings: &[".csv", ".txt"],
+    detect: is_text,
+    open: |Opening {
+               source, name, size, ..
+           }| Ok(Box::new(TextReader::new(source, name, size)?)),
+    has_places: false,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor)?))),
+};
+
+/// Whether a file may be lines of events: its first line is text without control characters but
+/// separators. What follows may be damaged, which the reader reports after the events before it.
+fn is_text(start: &format::Start) -> bool {
+    if let Some(header) = &start.header
+        && header
+            .words
+            .as_ref()
+            .err()
+            .is_none_or(|other| !other.is_empty())
+    {
+        // Words that no reader knows.
+        return false;
+    }
+    let first = start.bytes.split(|byte| *byte == b'\n').next();
+    let first = first.unwrap_or_default();
+    let control = |byte: &u8| byte.is_ascii_control() && !b"\t\r".contains(byte);
+    let is_other_aedat = start.begins(b"#!AER-DAT");
+    std::str::from_utf8(first).is_ok() && !first.iter().any(control) && !is_other_aedat
+}
 
 /// Reader of text files.
 pub type TextReader = Reader<TextDecoder>;

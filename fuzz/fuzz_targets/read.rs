@@ -1,0 +1,24 @@
+#![no_main]
+//! Any bytes as a recording of the format that EECVS_FORMAT names: one program for all readers, which
+//! take longer to link than to fuzz.
+
+use std::sync::LazyLock;
+
+use drain::{drain, size, source};
+use host_harness::formats::{FORMATS, Format, Opening};
+use libfuzzer_sys::fuzz_target;
+
+static FORMAT: LazyLock<Format> = LazyLock::new(|| {
+    let name = std::env::var("EECVS_FORMAT").unwrap_or_default();
+    let format = FORMATS.iter().find(|format| format.name == name);
+    *format.unwrap_or_else(|| panic!("EECVS_FORMAT: no format is named {name:?}"))
+});
+
+fuzz_target!(|data: &[u8]| {
+    drain((FORMAT.open)(Opening {
+        source: source(data),
+        name: "fuzz",
+        place: None,
+        size: size(data),
+    }));
+});

@@ -1,0 +1,286 @@
+//! The table of formats: what tells each by its first bytes, and how it is opened and created.
+
+use std::fs::File;
+use std::path::Path;
+
+use anyhow::Context;
+use eecvs_nostd::Sensor;
+
+use super::input::{Input, ReadSeek};
+use super::raw_header::{RawHeader, Words};
+use super::{EventReader, EventWriter, aedat2, aedat4, evt2, evt3, hdf5, npz, text};
+
+/// Bytes that a format is told by.
+const START_BYTES: usize = 4096;
+
+/// Every format, in the order in which they are tried: text, which nearly anything may be, last.
+pub const FORMATS: &[Format] = &[
+    aedat4::FORMAT,
+    aedat2::FORMAT,
+    evt2::FORMAT,
+    evt3::FORMAT,
+    hdf5::FORMAT,
+    npz::FORMAT,
+    text::FORMAT,
+];
+
+/// A format of recordings.
+#[derive(Clone, Copy)]
+pub struct Format {
+    /// As `eecvs info` prints it and [`EventReader::format`] returns it.
+    pub name: &'static str,
+    /// In messages and tables.
+    pub title: &'static str,
+    /// Endings of its files, in small letters, each with its dot; a recording is created in the format
+    /// that has the longest ending of its name.
+    pub endings: &'static [&'static str],
+    /// Whether a file that begins so is of this format.
+    pub detect: fn(&Start) -> bool,
+    /// Opens a file that [`Format::detect`] has told.
+    pub open: fn(Opening) -> anyhow::Result<Box<dyn EventReader>>,
+    /// Whether a place in a file can be named behind it, as [`open`] says.
+    pub has_places: bool,
+    /// What its files hold of events.
+    pub limits: Limits,
+    /// Creates a file, where there is a writer.
+    pub create: Option<fn(&Path, Sensor) -> anyhow::Result<Box<dyn EventWriter>>>,
+}
+
+/// What files of a format hold of events; writers refuse what is beyond.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Largest column.
+    pub x_max: u16,
+    /// Largest row.
+    pub y_max: u16,
+    /// Largest time in microseconds.
+    pub t_max_us: u64,
+    /// Whether a time may be before the one of the event before it.
+    pub steps_back: bool,
+}
+
+impl Limits {
+    /// Every event of every sensor, in any order, with times up to 2^60 us.
+    pub const NONE: Self = Self {
+        x_max: Sensor::SIDE_MAX - 1,
+        y_max: Sensor::SIDE_MAX - 1,
+        t_max_us: 1 << 60,
+        steps_back: true,
+    };
+}
+
+/// How a file begins.
+pub struct Start<'a> {
+    /// Its first bytes, 4,096 of them at the most.
+    pub bytes: &'a [u8],
+    /// Its name.
+    pub name: &'a str,
+    /// Its length in bytes.
+    pub length: u64,
+    /// The lines of `% ` that it begins with, if it does.
+    pub header: Option<RawHeader>,
+}
+
+impl Start<'_> {
+    /// Whether the file begins with `magic`.
+    #[must_use]
+    pub fn begins(&self, magic: &[u8]) -> bool {
+        self.bytes.starts_with(magic)
+    }
+
+    /// Whether the file begins with a header that announces `words`.
+    #[must_use]
+    pub fn holds(&self, words: Words) -> bool {
+        let header = self.header.as_ref();
+        header.is_some_and(|header| header.words == Ok(words))
+    }
+
+    /// Whether the file's name ends with `ending`, a dot and small letters.
+    #[must_use]
+    pub fn is_named(&self, ending: &str) -> bool {
+        self.name.to_ascii_lowercase().ends_with(ending)
+    }
+}
+
+/// A file to be opened.
+pub struct Opening<'a> {
+    /// Its bytes.
+    pub source: Box<dyn ReadSeek>,
+    /// What messages call it.
+    pub name: &'a str,
+    /// Where in the file the events are, if that was told: never but where [`Format::has_places`].
+    pub place: Option<&'a str>,
+    /// The sensor's size, where it is known from elsewhere.
+    pub size: Option<Sensor>,
+}
+
+/// Opens a recording, its format found by content; `size` is used where the file has none.
+///
+/// A dataset or group of an HDF5 file is named behind it: `FILE.hdf5/davis/right/events`.
+///
+/// # Errors
+/// Unknown format, unreadable file, damaged header.
+pub fn open(path: &Path, size: Option<Sensor>) -> anyhow::Result<Box<dyn EventReader>> {
+    let inside = place_inside(path);
+    let (file, place) = match &inside {
+        Some((file, place)) => (*file, Some(place.as_str())),
+        None => (path, None),
+    };
+    let name = file.display().to_string();
+    let metadata = std::fs::metadata(file).with_context(|| format!("{name}: cannot be opened"))?;
+    anyhow::ensure!(
+        !metadata.is_dir(),
+        "{name}: is a directory, not a recording"
+    );
+    let source = File::open(file).with_context(|| format!("{name}: cannot be opened"))?;
+    open_place(Opening {
+        source: Box::new(source),
+        name: &name,
+        place,
+        size,
+    })
+}
+
+/// The file and the rest of a path that leads into a file.
+fn place_inside(path: &Path) -> Option<(&Path, String)> {
+    let file = path.ancestors().skip(1).find(|file| file.is_file())?;
+    let rest = path.strip_prefix(file).ok()?;
+    let names: Option<Vec<&str>> = rest.iter().map(|name| name.to_str()).collect();
+    Some((file, names?.join("/")))
+}
+
+/// As [`open`], for a file or bytes in memory, which messages call `name`.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_source(
+    source: Box<dyn ReadSeek>,
+    name: &str,
+    size: Option<Sensor>,
+) -> anyhow::Result<Box<dyn EventReader>> {
+    open_place(Opening {
+        source,
+        name,
+        place: None,
+        size,
+    })
+}
+
+fn open_place(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
+    let Opening { name, place, .. } = opening;
+    let mut input = Input::new(opening.source, name)?;
+    let mut bytes = vec![0; START_BYTES];
+    let filled = input.fill(&mut bytes)?;
+    bytes.truncate(filled);
+    if bytes.is_empty() {
+        anyhow::bail!("{name}: byte 0: the file is empty");
+    }
+    let header = if bytes.starts_with(b"%") {
+        input.seek(0)?;
+        Some(RawHeader::read(&mut input)?)
+    } else {
+        None
+    };
+    let start = Start {
+        bytes: &bytes,
+        name,
+        length: input.length(),
+        header,
+    };
+    let Some(format) = FORMATS.iter().find(|format| (format.detect)(&start)) else {
+        return Err(unknown(&start));
+    };
+    anyhow::ensure!(
+        place.is_none() || format.has_places,
+        "{name}: {} has no places: nothing is behind its name",
+        format.title
+    );
+    (format.open)(Opening {
+        source: input.into_source(),
+        ..opening
+    })
+}
+
+/// What a file is not, told as well as it can be.
+fn unknown(start: &Start) -> anyhow::Error {
+    let name = start.name;
+    if start.begins(b"#!AER-DAT") {
+        return anyhow::anyhow!(
+            "{name}: byte 0: only AEDAT 2.0 and 4.0 are known: convert it with DV"
+        );
+    }
+    let words = start.header.as_ref().map(|header| &header.words);
+    if let Some(Err(other)) = words
+        && !other.is_empty()
+    {
+        return anyhow::anyhow!("{name}: byte 0: {other} is not known: record EVT2 or EVT3");
+    }
+    let known: Vec<&str> = FORMATS.iter().map(|format| format.title).collect();
+    anyhow::anyhow!(
+        "{name}: byte 0: not a recording of a known format ({})",
+        known.join(", ")
+    )
+}
+
+/// Creates a recording; the extension names the format.
+///
+/// # Errors
+/// Unknown extension, unwritable file, a sensor that the format cannot hold.
+pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let name = name.to_ascii_lowercase();
+    let endings = |format: &Format| {
+        let create = format.create;
+        let pairs = format.endings.iter().map(move |ending| (*ending, create));
+        pairs.filter_map(|(ending, create)| Some((ending, create?)))
+    };
+    let writable = || FORMATS.iter().flat_map(endings);
+    let longest = writable()
+        .filter(|(ending, _)| name.ends_with(ending))
+        .max_by_key(|(ending, _)| ending.len());
+    if let Some((_, create)) = longest {
+        return create(path, sensor);
+    }
+    let endings: Vec<&str> = writable().map(|(ending, _)| ending).collect();
+    anyhow::bail!(
+        "{}: no format has this extension: use {}",
+        path.display(),
+        endings.join(", ")
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+
+    use super::*;
+
+    #[test]
+    fn names_and_endings_are_of_one_format_each() {
+        let names: HashSet<_> = FORMATS.iter().map(|format| format.name).collect();
+        assert_eq!(names.len(), FORMATS.len());
+        let endings: Vec<_> = FORMATS.iter().flat_map(|format| format.endings).collect();
+        assert_eq!(endings.iter().collect::<HashSet<_>>().len(), endings.len());
+        assert!(endings.iter().all(|ending| ending.starts_with('.')));
+    }
+
+    #[test]
+    fn the_longest_ending_names_the_format() {
+        let folder = tempfile::tempdir().unwrap();
+        let sensor = Sensor::new(320, 240).unwrap();
+        for (name, format) in [
+            ("a.raw", "evt3"),
+            ("a.evt2.raw", "evt2"),
+            ("a.EVT2", "evt2"),
+            ("a.aedat4", "aedat4"),
+        ] {
+            let path = folder.path().join(name);
+            create(&path, sensor).unwrap().finish().unwrap();
+            assert_eq!(open(&path, None).unwrap().format(), format, "{name}");
+        }
+        let Err(error) = create(&folder.path().join("a.jpg"), sensor) else {
+            panic!("a picture is no recording");
+        };
+        assert!(error.to_string().contains(".aedat4"), "{error}");
+    }
+}
