@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Every check of the project, headless. `./test.sh` runs all of them but the long ones, `./test.sh STAGE...` some:
+# Every check of the project, headless. `./test.sh` runs all of them but the long ones, two at a time,
+# `./test.sh STAGE...` some, one after the other:
 #
 #   lint      formatting, clippy, documentation
 #   unit      unit, property, golden, format, end-to-end tests; shared recordings where present;
@@ -12,7 +13,7 @@
 #             unit stage compares them where the system's Python has these)
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
 #             it is named
-#   fuzz      every fuzz target for FUZZ_SECONDS (default 3)
+#   fuzz      every fuzz target for FUZZ_SECONDS (default 2)
 #   demo      the first command of the README
 #
 # What is missing is installed where that is possible; where it is not, the stage says so.
@@ -30,18 +31,24 @@ ran() { [[ " $STAGES " == *" $1 "* ]]; }
 
 have() { command -v "$1" >/dev/null 2>&1; }
 
+# Runs a command while no other stage runs one so: what installs something fails beside another that does.
+alone() (
+    ! have flock || flock 9
+    "$@"
+) 9>>"$INSTALLING"
+
 # Packages of the system, installed if that is possible; its lists may be too old for it at first.
 packages() {
     have apt-get || return
-    apt-get install -y -qq "$@" >/dev/null 2>&1 && return
-    apt-get update -qq >/dev/null 2>&1 && apt-get install -y -qq "$@" >/dev/null 2>&1
+    alone apt-get install -y -qq "$@" >/dev/null 2>&1 && return
+    alone apt-get update -qq >/dev/null 2>&1 && alone apt-get install -y -qq "$@" >/dev/null 2>&1
 }
 
 # A rustup component, installed if rustup may.
 component() {
     cargo "$1" --version >/dev/null 2>&1 && return
     echo "installing $2"
-    have rustup && rustup component add "$2" >/dev/null 2>&1 && return
+    have rustup && alone rustup component add "$2" >/dev/null 2>&1 && return
     skip "$1: rustup cannot add the component $2"
     return 1
 }
@@ -116,7 +123,7 @@ metrics() {
 target() {
     [ -d "$(rustc --print target-libdir --target "$1")" ] && return
     echo "installing the target $1"
-    have rustup && rustup target add "$1" >/dev/null 2>&1
+    have rustup && alone rustup target add "$1" >/dev/null 2>&1
 }
 
 nostd() {
@@ -214,7 +221,7 @@ fuzz() {
             return
         fi
     fi
-    fuzz/run.sh "${FUZZ_SECONDS:-3}"
+    fuzz/run.sh "${FUZZ_SECONDS:-2}"
 }
 
 # The demo's table in a document, without the rate, which is the machine's.
@@ -239,8 +246,12 @@ if [ "${1:-}" = --stage ]; then
     exit
 fi
 
-stages=("$@")
-[ ${#stages[@]} -gt 0 ] || stages=(lint unit nostd firmware usb fuzz demo)
+stages=("$@") beside=()
+if [ ${#stages[@]} = 0 ]; then
+    stages=(lint unit demo) beside=(fuzz nostd firmware usb)
+    # Two at a time: compilers leave a core idle for a third of the time. Not where installations would meet.
+    have flock || { stages+=("${beside[@]}"); beside=(); }
+fi
 for stage in "${stages[@]}"; do
     case $stage in
         lint | unit | metrics | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
@@ -248,21 +259,46 @@ for stage in "${stages[@]}"; do
     esac
 done
 
-SKIPPED=$(mktemp)
-STAGES=${stages[*]}
-export SKIPPED STAGES
-trap 'rm -f "$SKIPPED"' EXIT
-failed=()
+STATE=$(mktemp -d)
+SKIPPED=$STATE/skipped INSTALLING=$STATE/installing FAILED=$STATE/failed
+STAGES="${stages[*]} ${beside[*]}"
+export SKIPPED INSTALLING STAGES
+touch "$SKIPPED" "$FAILED"
+second=
+trap '[ -z "$second" ] || kill -- "-$second" 2>/dev/null || true; rm -rf "$STATE"' EXIT
+
+run() {
+    local started=$SECONDS
+    echo "=== $1"
+    "$0" --stage "$1" || echo "$1" >>"$FAILED"
+    echo "=== $1 took $((SECONDS - started)) s"
+}
+
+# The output of those that run beside others comes in one piece, at their end.
+run_beside() {
+    local stage
+    for stage in "$@"; do
+        run "$stage" >"$STATE/$stage.log" 2>&1
+        cat "$STATE/$stage.log"
+    done
+}
+
+if [ ${#beside[@]} -gt 0 ]; then
+    # A process group of its own, which ends with this script.
+    set -m
+    run_beside "${beside[@]}" </dev/null &
+    second=$!
+    set +m
+fi
 for stage in "${stages[@]}"; do
-    echo "=== $stage"
-    started=$SECONDS
-    "$0" --stage "$stage" || failed+=("$stage")
-    echo "=== $stage took $((SECONDS - started)) s"
+    run "$stage"
 done
+[ -z "$second" ] || wait "$second"
+second=
 
 sed 's/^/skipped: /' "$SKIPPED"
-if [ ${#failed[@]} -gt 0 ]; then
-    echo "FAILED: ${failed[*]}"
+if [ -s "$FAILED" ]; then
+    echo "FAILED: $(paste -sd ' ' "$FAILED")"
     exit 1
 fi
-echo "all stages passed: ${stages[*]}"
+echo "all stages passed: $STAGES"
