@@ -5,7 +5,10 @@ use std::path::Path;
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
-use crate::formats;
+use crate::fit::{Fit, Lost, beyond};
+use crate::formats::growing::{Follow, open_growing};
+use crate::formats::intact::Intact;
+use crate::formats::{self, Format};
 use crate::output_file::{refuse_same_file, remove_partial};
 
 /// A rectangle of pixels.
@@ -32,13 +35,28 @@ pub struct Filter {
     pub crop: Option<Crop>,
 }
 
+/// How a recording is converted; the default converts all of it, and loses nothing.
+#[derive(Debug, Clone, Default)]
+pub struct Conversion {
+    /// What is kept.
+    pub filter: Filter,
+    /// What the output's format cannot hold is made to fit, and counted, in place of being refused.
+    pub allow_loss: bool,
+    /// What is appended to the input comes as well.
+    pub follow: Option<Follow>,
+}
+
 /// Outcome of [`convert`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Converted {
-    /// Events read.
+    /// Events read: with an index, those of the times that were asked for, and a few around them.
     pub events_in: u64,
-    /// Events written; the others did not pass the filter.
+    /// Events written; the others did not pass the filter, or are in `lost`.
     pub events_out: u64,
+    /// What the output's format could not hold.
+    pub lost: Lost,
+    /// Where and why the input ended before its end; everything before is in the output.
+    pub damage: Option<String>,
 }
 
 impl Filter {
@@ -87,57 +105,103 @@ impl Filter {
     }
 }
 
-/// Writes the events of `input` that pass `filter` to `output`, whose extension names the format.
+/// Times of a recording step back by less than this: reading may end so long behind the last that is wanted.
+const STEP_BACK_MAX_US: u64 = 1_000_000;
+
+/// Writes the events of `input` that pass the filter to `output`, whose extension names the format.
 ///
-/// Where reading or writing fails, what was written of `output` is removed.
+/// Events keep their order. Where reading fails, everything before the damage is in `output`, and
+/// [`Converted::damage`] tells it; where writing fails, what was written is removed.
+///
+/// Reading begins at `from_us` where the format has an index, and ends a second behind `to_us`: times that
+/// step back further than that are not found.
 ///
 /// # Errors
-/// An unknown or damaged input, an output format that cannot hold the events, a crop outside of
-/// the sensor, `from_us` above `to_us`, input and output the same file.
+/// An unknown input, an output format that cannot hold the events, a crop outside of the sensor,
+/// `from_us` above `to_us`, input and output the same file.
 pub fn convert(
     input: &Path,
     output: &Path,
     size: Option<Sensor>,
-    filter: Filter,
+    conversion: &Conversion,
 ) -> anyhow::Result<Converted> {
+    let filter = conversion.filter;
     if let (Some(from), Some(to)) = (filter.from_us, filter.to_us) {
         anyhow::ensure!(from <= to, "--from-us {from} is after --to-us {to}");
     }
-    let mut reader = formats::open(input, size)?;
-    let sensor = filter
+    let (format, create) = formats::writable(output)?;
+    let reader = match &conversion.follow {
+        Some(follow) => open_growing(input, size, follow)?,
+        None => formats::open(input, size)?,
+    };
+    let mut sensor = filter
         .sensor(reader.sensor())
         .with_context(|| format!("{}: cannot be cropped", input.display()))?;
-    refuse_same_file(input, output)?;
-    let writer = formats::create(output, sensor)?;
-    let result = copy(reader.as_mut(), writer, filter);
-    if result.is_err() {
-        remove_partial(output);
+    if conversion.allow_loss {
+        sensor = Fit::sensor(format.limits, sensor);
     }
-    result
+    refuse_same_file(input, output)?;
+    let writer = create(output, sensor)?;
+    let mut reader = Intact::new(reader);
+    let result = copy(&mut reader, writer, conversion, format)
+        .with_context(|| format!("{}: cannot be converted", output.display()));
+    // Nothing of a recording is no recording.
+    let result = result.and_then(|converted| match reader.damage() {
+        Some(damage) if converted.events_in == 0 => Err(damage),
+        damage => Ok(Converted {
+            damage: damage.map(|error| format!("{error:#}")),
+            ..converted
+        }),
+    });
+    result.inspect_err(|_| remove_partial(output))
 }
 
 fn copy(
     reader: &mut dyn formats::EventReader,
     mut writer: Box<dyn formats::EventWriter>,
-    filter: Filter,
+    conversion: &Conversion,
+    format: &Format,
 ) -> anyhow::Result<Converted> {
+    let filter = conversion.filter;
+    if let Some(from_us) = filter.from_us {
+        reader.seek(from_us)?;
+    }
+    let end_us = filter.to_us.map(|to| to.saturating_add(STEP_BACK_MAX_US));
     let mut events = Vec::with_capacity(formats::BATCH_EVENTS);
     let mut kept = Vec::with_capacity(formats::BATCH_EVENTS);
-    let mut converted = Converted {
-        events_in: 0,
-        events_out: 0,
-    };
+    let mut fit = Fit::new(format.limits);
+    let mut last_us = None;
+    let mut converted = Converted::default();
     loop {
         events.clear();
         kept.clear();
         if reader.read(&mut events)? == 0 {
             break;
         }
-        kept.extend(events.iter().filter_map(|event| filter.apply(*event)));
+        for event in events.iter().filter_map(|event| filter.apply(*event)) {
+            if conversion.allow_loss {
+                kept.extend(fit.apply(event));
+                continue;
+            }
+            let index = converted.events_out + kept.len() as u64;
+            if let Some(what) = beyond(format.limits, index, event, last_us) {
+                anyhow::bail!(
+                    "{} cannot hold {what} (--allow-loss leaves out or changes what it cannot hold)",
+                    format.title
+                );
+            }
+            last_us = Some(event.t_us);
+            kept.push(event);
+        }
         writer.write(&kept)?;
         converted.events_in += events.len() as u64;
         converted.events_out += kept.len() as u64;
+        let past = |end| events.iter().all(|event| event.t_us >= end);
+        if end_us.is_some_and(past) {
+            break;
+        }
     }
     writer.finish()?;
+    converted.lost = fit.lost();
     Ok(converted)
 }

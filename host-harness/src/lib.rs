@@ -10,6 +10,7 @@ pub mod density_series;
 pub mod downstream;
 pub mod encode;
 pub mod exact_density;
+pub mod fit;
 pub mod formats;
 pub mod frame_file;
 pub mod hot_pixels;

@@ -7,7 +7,8 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use crate::formats;
+use crate::formats::intact::Intact;
+use crate::formats::{self, EventReader};
 
 /// Counts, times and hash of a recording; the fields are the keys of `eecvs info --json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -43,6 +44,9 @@ pub struct RecordingInfo {
     pub sha256_events: String,
     /// What the file holds besides events, by kind.
     pub skipped: BTreeMap<String, u64>,
+    /// Where and why the recording ended before its end; the rest is of what stands before.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub damage: Option<String>,
 }
 
 /// Bytes of one column's value of an event.
@@ -62,13 +66,13 @@ const COLUMNS: [Column; 4] = [
 /// call, which comes to four times the recording's events.
 ///
 /// # Errors
-/// An unknown format, a damaged or truncated recording.
+/// An unknown format, a damaged header. Damage behind it ends the recording, and is told.
 pub fn info(
     path: &Path,
     size: Option<Sensor>,
     progress: &mut dyn FnMut(u64),
 ) -> anyhow::Result<RecordingInfo> {
-    let mut reader = formats::open(path, size)?;
+    let mut reader = Intact::new(formats::open(path, size)?);
     // Later passes need not search for the size again.
     let sensor = reader.sensor();
     let mut info = RecordingInfo {
@@ -87,13 +91,14 @@ pub fn info(
         sum_y: 0,
         sha256_events: String::new(),
         skipped: BTreeMap::new(),
+        damage: None,
     };
     let mut hash = Sha256::new();
     let mut events = Vec::with_capacity(formats::BATCH_EVENTS);
     let mut bytes = Vec::new();
     for (pass, column) in COLUMNS.iter().enumerate() {
         if pass > 0 {
-            reader = formats::open(path, Some(sensor))?;
+            reader = Intact::new(formats::open(path, Some(sensor))?);
         }
         loop {
             events.clear();
@@ -116,6 +121,7 @@ pub fn info(
             info.skipped = skipped.map(|(kind, n)| (kind.to_owned(), n)).collect();
         }
     }
+    info.damage = reader.damage().map(|error| format!("{error:#}"));
     info.sha256_events = hash
         .finalize()
         .iter()

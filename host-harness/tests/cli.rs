@@ -457,23 +457,37 @@ fn an_input_is_never_overwritten() {
 }
 
 #[test]
-fn a_damaged_recording_leaves_no_half_output() {
+fn of_a_damaged_recording_everything_before_the_damage_is_kept() {
     let folder = Folder::new();
-    folder.scene("scene.aedat4");
-    let bytes = folder.bytes("scene.aedat4");
-    folder.write("cut.aedat4", &bytes[..bytes.len() / 2]);
+    folder.scene("scene.evt2");
+    let bytes = folder.bytes("scene.evt2");
+    // Within a word.
+    folder.write("cut.evt2", &bytes[..bytes.len() / 8 * 4 + 1]);
     folder.write("lines.csv", "t,x,y,p\n10,1,1,1\n20,1,one,0\n");
-    for input in ["cut.aedat4", "lines.csv"] {
+    folder.write("none.csv", "t,x,y,p\n10,1,one,1\n");
+    for input in ["cut.evt2", "lines.csv", "none.csv"] {
         let size = "--width 40 --height 30";
         for command in ["encode --threads 1", "encode --threads 3", "convert"] {
             let (flag, out) = match command {
-                "convert" => ("", "half.csv"),
-                _ => ("-o ", "half.eecvs"),
+                "convert" => ("", "part.csv"),
+                _ => ("-o ", "part.eecvs"),
             };
-            folder
-                .eecvs(&format!("{command} {input} {flag}{out} {size}"))
-                .fails(&[input, "byte"]);
-            assert!(!exists(&folder.path(out)), "{input} {command}");
+            let line = format!("{command} {input} {flag}{out} {size}");
+            let is_none = input == "none.csv";
+            let kept = if is_none { "byte" } else { "everything before" };
+            folder.eecvs(&line).fails(&[input, "byte", kept]);
+            assert_eq!(exists(&folder.path(out)), !is_none, "{input} {command}");
+            if !is_none {
+                if command != "convert" {
+                    folder.eecvs("decode part.eecvs -o part.csv").ok();
+                }
+                let events = |file: &str| -> Value {
+                    let outcome = folder.eecvs(&format!("info {file} --json {size}"));
+                    serde_json::from_str::<Value>(&outcome.stdout).unwrap()["events"].clone()
+                };
+                assert_eq!(events("part.csv"), events(input), "{line}");
+                std::fs::remove_file(folder.path(out)).unwrap();
+            }
         }
     }
 }

@@ -3,7 +3,7 @@
 mod support;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::convert::{Converted, Crop, Filter, convert};
+use host_harness::convert::{Conversion, Converted, Crop, Filter, convert};
 use host_harness::formats;
 use proptest::prelude::*;
 use support::{FORMATS, events, read, written};
@@ -234,6 +234,41 @@ fn what_a_format_cannot_hold_is_refused_by_name() {
     }
 }
 
+fn of(filter: Filter) -> Conversion {
+    Conversion {
+        filter,
+        ..Conversion::default()
+    }
+}
+
+/// What a format cannot hold is refused by name, or made to fit and counted.
+#[test]
+fn convert_loses_nothing_unless_it_may() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let sensor = Sensor {
+        width: 240,
+        height: 200,
+    };
+    let events = some_events(sensor, 1000);
+    let input = folder.path().join("in.aedat4");
+    let mut writer = formats::create(&input, sensor).expect("a file");
+    writer.write(&events).expect("events");
+    writer.finish().expect("a file");
+    // The DAVIS240 has 180 rows.
+    let output = folder.path().join("out.aedat");
+    let mut conversion = Conversion::default();
+    let error = convert(&input, &output, None, &conversion).expect_err("rows are missing");
+    assert!(format!("{error:#}").contains("out.aedat"), "{error:#}");
+    assert!(!output.exists());
+    conversion.allow_loss = true;
+    let converted = convert(&input, &output, None, &conversion).expect("a conversion");
+    let want: Vec<Event> = events.into_iter().filter(|event| event.y < 180).collect();
+    assert_eq!(converted.lost.outside, 1000 - want.len() as u64);
+    assert_eq!(converted.events_out, want.len() as u64);
+    let mut reader = formats::open(&output, None).expect("a recording");
+    assert_eq!(support::drain(reader.as_mut()).0, want);
+}
+
 #[test]
 fn convert_filters_and_crops() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -269,13 +304,17 @@ fn convert_filters_and_crops() {
     assert!(!want.is_empty() && want.len() < events.len());
     for name in ["out.aedat4", "out.raw", "out.evt2", "out.csv", "out.npz"] {
         let output = folder.path().join(name);
-        let converted = convert(&input, &output, None, filter).expect("a conversion");
+        let converted = convert(&input, &output, None, &of(filter)).expect("a conversion");
         let events_out = want.len() as u64;
+        // Reading ends behind the time that is asked for.
+        let events_in = converted.events_in;
+        assert!((events_out..50_000).contains(&events_in), "{events_in}");
         assert_eq!(
             converted,
             Converted {
-                events_in: 50_000,
-                events_out
+                events_in,
+                events_out,
+                ..Converted::default()
             }
         );
         let mut reader = formats::open(&output, None).expect("a recording");
@@ -299,9 +338,9 @@ fn convert_filters_and_crops() {
         }),
         ..filter
     };
-    let error = convert(&input, &folder.path().join("a.csv"), None, outside);
+    let error = convert(&input, &folder.path().join("a.csv"), None, &of(outside));
     assert!(format!("{:#}", error.expect_err("a crop outside")).contains("240x180"));
-    convert(&input, &input, None, Filter::default()).expect_err("the same file");
+    convert(&input, &input, None, &Conversion::default()).expect_err("the same file");
     assert_eq!(
         read(&std::fs::read(&input).expect("unharmed"), None).0,
         events

@@ -6,9 +6,9 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use clap::error::ErrorKind;
 
-use super::options::SizeOptions;
+use super::options::{FollowOptions, SizeOptions, tell_damage};
 use super::output::{print, print_json, rows};
-use crate::convert::{Crop, Filter, convert};
+use crate::convert::{Conversion, Converted, Crop, Filter, convert};
 
 /// Convert a recording, or a part of it, to another format
 #[derive(Debug, Args)]
@@ -32,6 +32,13 @@ pub struct Convert {
     /// Only this part of the sensor; its corner becomes (0, 0)
     #[arg(long, value_name = "X,Y,W,H", value_parser = crop)]
     crop: Option<Crop>,
+
+    /// Leave out or change what the output's format cannot hold, and count it, in place of refusing it
+    #[arg(long)]
+    allow_loss: bool,
+
+    #[command(flatten)]
+    follow: FollowOptions,
 
     #[command(flatten)]
     size: SizeOptions,
@@ -66,7 +73,7 @@ impl Convert {
     /// Converts and prints how many events were read and written.
     ///
     /// # Errors
-    /// A recording that cannot be read, a format that cannot hold its events.
+    /// A recording that cannot be read to its end, a format that cannot hold its events.
     pub fn run(self) -> Result<()> {
         if let (Some(from), Some(to)) = (self.from_us, self.to_us)
             && from > to
@@ -76,20 +83,45 @@ impl Convert {
                 .error(ErrorKind::ValueValidation, message)
                 .exit();
         }
-        let filter = Filter {
-            from_us: self.from_us,
-            to_us: self.to_us,
-            crop: self.crop,
+        let conversion = Conversion {
+            filter: Filter {
+                from_us: self.from_us,
+                to_us: self.to_us,
+                crop: self.crop,
+            },
+            allow_loss: self.allow_loss,
+            follow: self.follow.follow()?,
         };
-        let converted = convert(&self.input, &self.output, self.size.sensor(), filter)?;
+        let size = self.size.sensor();
+        let converted = convert(&self.input, &self.output, size, &conversion)?;
         if self.json {
-            return print_json(&converted);
+            print_json(&converted)?;
+        } else {
+            print(&table(&converted))?;
         }
-        print(&rows([
-            ("events in", converted.events_in.to_string()),
-            ("events out", converted.events_out.to_string()),
-        ]))
+        let followed = conversion.follow.is_some();
+        tell_damage(converted.damage.as_deref(), Some(&self.output), followed)
     }
+}
+
+fn table(converted: &Converted) -> String {
+    let lost = converted.lost;
+    let mut lines = vec![
+        ("events in", converted.events_in.to_string()),
+        ("events out", converted.events_out.to_string()),
+    ];
+    let counts = [
+        ("times shifted by, us", lost.shifted_us),
+        ("lost: outside of the format", lost.outside),
+        ("lost: beyond its times", lost.beyond_time),
+        ("times raised", lost.raised),
+    ];
+    for (what, count) in counts {
+        if count > 0 {
+            lines.push((what, count.to_string()));
+        }
+    }
+    rows(lines)
 }
 
 #[cfg(test)]

@@ -10,10 +10,12 @@ use eecvs_nostd::{
     Quantiser, Region, Sensor, Transform, WindowConfig,
 };
 
-use super::options::{SizeOptions, ThresholdOptions};
+use super::options::{FollowOptions, SizeOptions, ThresholdOptions, tell_damage};
 use super::output::{print, print_json, rows};
 use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
+use crate::formats::growing::open_growing;
+use crate::formats::intact::Intact;
 use crate::formats::{self, EventReader};
 use crate::hot_pixels;
 use crate::output_file::{OutputFile, refuse_same_file};
@@ -40,6 +42,9 @@ pub struct Encode {
 
     #[command(flatten)]
     limits: LimitOptions,
+
+    #[command(flatten)]
+    follow: FollowOptions,
 
     #[command(flatten)]
     size: SizeOptions,
@@ -370,9 +375,15 @@ impl Encode {
     /// # Errors
     /// A recording that cannot be read, an output that cannot be written.
     pub fn run(self) -> Result<()> {
-        let reader = formats::open(&self.input, self.size.sensor())?;
+        let size = self.size.sensor();
+        let follow = self.follow.follow()?;
+        let reader = match &follow {
+            Some(follow) => open_growing(&self.input, size, follow)?,
+            None => formats::open(&self.input, size)?,
+        };
         let config = self.codec.config(reader.sensor())?;
-        let (mut reader, config) = self.codec.look(reader, config);
+        let (reader, config) = self.codec.look(reader, config);
+        let mut reader = Intact::new(reader);
         let hot = self.codec.hot_pixels(reader.sensor())?;
         let codec = Codec {
             hot: &hot,
@@ -383,7 +394,7 @@ impl Encode {
         let mut out = OutputFile::create(&self.output)?;
         let progress = Progress::new("events");
         let summary = encode(
-            reader.as_mut(),
+            &mut reader,
             codec,
             self.limits.limits(),
             self.threads
@@ -394,8 +405,13 @@ impl Encode {
                 progress.set(events);
             },
         )?;
-        out.finish()?;
         drop(progress);
+        let damage = reader.damage().map(|error| format!("{error:#}"));
+        if summary.events_in > 0 || damage.is_none() {
+            out.finish()?;
+        } else {
+            return tell_damage(damage.as_deref(), None, false);
+        }
         if summary.events_in == 0 {
             eprintln!(
                 "eecvs: {}: holds no events: {} has no frame and cannot be decoded",
@@ -404,10 +420,11 @@ impl Encode {
             );
         }
         if self.json {
-            print_json(&summary)
+            print_json(&summary)?;
         } else {
-            print(&table(&summary))
+            print(&table(&summary))?;
         }
+        tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())
     }
 }
 

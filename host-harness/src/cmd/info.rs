@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 
-use super::options::SizeOptions;
+use super::options::{SizeOptions, tell_damage};
 use super::output::{print, print_json, rows};
 use crate::progress::Progress;
 use crate::recording_info::{RecordingInfo, info};
@@ -36,10 +36,11 @@ impl Info {
         })?;
         drop(progress);
         if self.json {
-            print_json(&info)
+            print_json(&info)?;
         } else {
-            print(&table(&info))
+            print(&table(&info))?;
         }
+        tell_damage(info.damage.as_deref(), None, false)
     }
 }
 

@@ -17,4 +17,5 @@ pub mod monitor;
 pub mod options;
 pub mod output;
 pub mod report;
+mod stop;
 pub mod view;

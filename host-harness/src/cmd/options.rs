@@ -1,12 +1,15 @@
 //! Flags that several subcommands share.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
 use eecvs_nostd::{Sensor, Thresholds};
 
+use super::stop::stop_on_signals;
+use crate::formats::growing::Follow;
 use crate::thresholds_file::ThresholdsFile;
 
 /// Parses a width or a height.
@@ -34,6 +37,51 @@ impl SizeOptions {
             .zip(self.height)
             .and_then(|(width, height)| Sensor::new(width, height))
     }
+}
+
+/// Following of a recording that is still being written.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct FollowOptions {
+    /// Wait for what is appended to the recording, until Ctrl-C
+    #[arg(long)]
+    follow: bool,
+
+    /// With --follow: take a recording that has not grown for so many seconds as ended
+    #[arg(long, value_name = "S", requires = "follow", value_parser = RangedU64ValueParser::<u32>::new().range(1..))]
+    idle_s: Option<u32>,
+}
+
+impl FollowOptions {
+    /// How long to follow, where that was asked for; from then on a signal ends it.
+    ///
+    /// # Errors
+    /// Signals that cannot be handled.
+    pub fn follow(self) -> Result<Option<Follow>> {
+        if !self.follow {
+            return Ok(None);
+        }
+        Ok(Some(Follow {
+            idle: self.idle_s.map(|s| Duration::from_secs(s.into())),
+            stop: stop_on_signals()?,
+        }))
+    }
+}
+
+/// What is said, as an error, of a recording that ended before its end; `output` has what was before it.
+///
+/// # Errors
+/// Always where there is damage, but where a recording was followed: then its end was chosen, and is
+/// told on stderr alone.
+pub fn tell_damage(damage: Option<&str>, output: Option<&Path>, followed: bool) -> Result<()> {
+    let Some(damage) = damage else {
+        return Ok(());
+    };
+    let kept = output.map_or_else(String::new, |output| {
+        format!(" ({} has everything before)", output.display())
+    });
+    ensure!(followed, "{damage}{kept}");
+    eprintln!("eecvs: {damage}{kept}");
+    Ok(())
 }
 
 /// Density thresholds.

@@ -13,6 +13,7 @@ use serde::Serialize;
 
 use super::options::SizeOptions;
 use super::output::{print, print_json, rows};
+use super::stop::stop_on_signals;
 use crate::output_file::refuse_same_file;
 use crate::progress::Progress;
 use crate::report::frame_picture::FrameStyle;
@@ -353,19 +354,6 @@ fn room(columns: Option<usize>) -> Room {
         columns: columns.unwrap_or(usize::from(width)),
         rows: Some(usize::from(height)),
     }
-}
-
-/// Set by Ctrl-C and termination signals; the second ends the process at once.
-fn stop_on_signals() -> Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let wish = Arc::clone(&stop);
-    ctrlc::set_handler(move || {
-        if wish.swap(true, Ordering::Relaxed) {
-            std::process::exit(1);
-        }
-    })
-    .context("handling Ctrl-C")?;
-    Ok(stop)
 }
 
 fn table(summary: &Summary, has_decoded: bool) -> String {

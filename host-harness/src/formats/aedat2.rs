@@ -105,6 +105,7 @@ pub const FORMAT: Format = Format {
     detect: |start| start.begins(MAGIC),
     open: |Opening { source, name, .. }| Ok(Box::new(Aedat2Reader::new(source, name)?)),
     has_places: false,
+    grows: true,
     limits: Limits {
         x_max: 239,
         y_max: 179,

@@ -34,6 +34,7 @@ pub const FORMAT: Format = Format {
                source, name, size, ..
            }| Ok(Box::new(Evt2Reader::new(source, name, size)?)),
     has_places: false,
+    grows: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Evt2Writer::create(path, sensor)?))),
 };

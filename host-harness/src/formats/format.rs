@@ -40,10 +40,12 @@ pub struct Format {
     pub open: fn(Opening) -> anyhow::Result<Box<dyn EventReader>>,
     /// Whether a place in a file can be named behind it, as [`open`] says.
     pub has_places: bool,
+    /// Whether a file can be read from front to back while it is being written.
+    pub grows: bool,
     /// What its files hold of events.
     pub limits: Limits,
     /// Creates a file, where there is a writer.
-    pub create: Option<fn(&Path, Sensor) -> anyhow::Result<Box<dyn EventWriter>>>,
+    pub create: Option<Create>,
 }
 
 /// What files of a format hold of events; writers refuse what is beyond.
@@ -225,23 +227,35 @@ fn unknown(start: &Start) -> anyhow::Error {
 /// Creates a recording; the extension names the format.
 ///
 /// # Errors
-/// Unknown extension, unwritable file, a sensor that the format cannot hold.
+/// As [`writable`]; an unwritable file, a sensor that the format cannot hold.
 pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
+    let (_, create) = writable(path)?;
+    create(path, sensor)
+}
+
+/// How a format's files are created.
+pub type Create = fn(&Path, Sensor) -> anyhow::Result<Box<dyn EventWriter>>;
+
+/// The format that a file is written in, told by its longest known ending.
+///
+/// # Errors
+/// An ending of no format that can be written.
+pub fn writable(path: &Path) -> anyhow::Result<(&'static Format, Create)> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let name = name.to_ascii_lowercase();
-    let endings = |format: &Format| {
-        let create = format.create;
-        let pairs = format.endings.iter().map(move |ending| (*ending, create));
-        pairs.filter_map(|(ending, create)| Some((ending, create?)))
+    let all = || {
+        FORMATS.iter().flat_map(|format| {
+            let endings = format.endings.iter().copied();
+            endings.filter_map(move |ending| Some((ending, format, format.create?)))
+        })
     };
-    let writable = || FORMATS.iter().flat_map(endings);
-    let longest = writable()
-        .filter(|(ending, _)| name.ends_with(ending))
-        .max_by_key(|(ending, _)| ending.len());
-    if let Some((_, create)) = longest {
-        return create(path, sensor);
+    let longest = all()
+        .filter(|(ending, ..)| name.ends_with(ending))
+        .max_by_key(|(ending, ..)| ending.len());
+    if let Some((_, format, create)) = longest {
+        return Ok((format, create));
     }
-    let endings: Vec<&str> = writable().map(|(ending, _)| ending).collect();
+    let endings: Vec<&str> = all().map(|(ending, ..)| ending).collect();
     anyhow::bail!(
         "{}: no format has this extension: use {}",
         path.display(),

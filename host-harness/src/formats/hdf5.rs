@@ -38,6 +38,7 @@ pub const FORMAT: Format = Format {
                size,
            }| Ok(Box::new(Hdf5Reader::new(source, name, place, size)?)),
     has_places: true,
+    grows: false,
     limits: Limits::NONE,
     create: None,
 };

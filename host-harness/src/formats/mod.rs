@@ -13,10 +13,12 @@ pub mod evt2;
 pub mod evt3;
 mod flatbuffer;
 mod format;
+pub mod growing;
 pub mod hdf5;
 mod hdf5_file;
 mod hdf5_layout;
 pub mod input;
+pub mod intact;
 mod npy_header;
 pub mod npz;
 mod npz_layout;
@@ -37,7 +39,7 @@ use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
 pub use aedat4_writer::{Aedat4Writer, Compression};
-pub use format::{FORMATS, Format, Limits, Opening, Start, create, open, open_source};
+pub use format::{FORMATS, Format, Limits, Opening, Start, create, open, open_source, writable};
 pub use npz_writer::NpzWriter;
 pub use text_writer::TextWriter;
 

@@ -35,6 +35,7 @@ pub const FORMAT: Format = Format {
                source, name, size, ..
            }| Ok(Box::new(NpzReader::new(source, name, size)?)),
     has_places: false,
+    grows: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(NpzWriter::create(path, sensor)?))),
 };

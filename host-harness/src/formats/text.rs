@@ -50,6 +50,7 @@ pub const FORMAT: Format = Format {
                source, name, size, ..
            }| Ok(Box::new(TextReader::new(source, name, size)?)),
     has_places: false,
+    grows: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor)?))),
 };
