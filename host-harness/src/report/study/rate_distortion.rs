@@ -5,6 +5,7 @@
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::colours::REPRESENTATIONS;
 use crate::report::kernel_chart::{Drawn, FRONT, GRID, power, text};
@@ -101,7 +102,7 @@ impl RateDistortion<'_> {
             .map(|point| point.error_us)
             .fold(LEAST_US, f64::max);
         let bits = if least < most {
-            (least / 1.3, most * 1.6)
+            (least / 1.8, most * 1.6)
         } else {
             (1.0, 100.0)
         };
@@ -121,8 +122,8 @@ impl RateDistortion<'_> {
             .light_line_style(TRANSPARENT)
             .bold_line_style(GRID)
             .axis_style(FRONT)
-            .label_style(text(12, scale))
-            .axis_desc_style(text(13, scale))
+            .label_style(text(13, scale))
+            .axis_desc_style(text(14, scale))
             .x_desc("bits per event, packed")
             .y_desc("emd_pixel, us")
             .x_label_formatter(&|bits| bits_label(*bits))
@@ -135,7 +136,7 @@ impl RateDistortion<'_> {
             })
             .draw()?;
         let (left, top) = panel.get_base_pixel();
-        for ((_, _, colour, is_triangle), points) in &all {
+        for ((name, _, colour, is_triangle), points) in &all {
             let places: Vec<_> = points
                 .iter()
                 .map(|point| {
@@ -155,8 +156,16 @@ impl RateDistortion<'_> {
             }
             for (at, point) in all {
                 mark(panel, at, *colour, *is_triangle, scale)?;
-                let beside = (at.0 + 6 * scale, at.1 - 13 * scale);
-                panel.draw_text(&point.label, &text(11, scale).color(colour), beside)?;
+                // Below the front, which events are, and above all others: so both are legible.
+                let (beside, anchor) = if *name == "events" {
+                    ((at.0 - 6 * scale, at.1 + 2 * scale), HPos::Right)
+                } else {
+                    ((at.0 + 6 * scale, at.1 - 14 * scale), HPos::Left)
+                };
+                let style = text(12, scale)
+                    .color(colour)
+                    .pos(Pos::new(anchor, VPos::Top));
+                panel.draw_text(&point.label, &style, beside)?;
             }
         }
         Ok(())
