@@ -208,7 +208,10 @@ fn every_fault_of_a_page_is_seen() {
             "img it: is distorted",
         ),
         (image(SQUARES, "hidden"), "img it: has no size"),
-        (svg(&format!("{size} hidden"), ""), "svg : has no size"),
+        (
+            svg(&format!("{size} style=\"display: none\""), &text(0)),
+            "svg : has no size",
+        ),
         (svg(size, &text(80)), "cut off: label"),
         (
             svg(

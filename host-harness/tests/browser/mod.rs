@@ -14,7 +14,7 @@ use serde::Deserialize;
 
 /// Run in the page around the frames.
 const SCRIPT: &str = include_str!("measure.js");
-/// Names of the browser, where `EECVS_BROWSER` has none.
+/// Names of the browser.
 const NAMES: [&str; 4] = [
     "chromium",
     "chromium-browser",
@@ -97,15 +97,16 @@ pub struct View {
     pub console: Vec<String>,
 }
 
-/// The browser that there is: `EECVS_BROWSER`, or one of the usual names.
+/// The browser that there is: what `EECVS_BROWSER` names, which must run, or one of the usual names.
 pub fn find() -> Option<String> {
-    let named = std::env::var("EECVS_BROWSER").ok();
-    let names = named.into_iter().chain(NAMES.map(str::to_owned));
-    let is_there = |name: &String| {
+    if let Ok(named) = std::env::var("EECVS_BROWSER") {
+        return Some(named);
+    }
+    let is_there = |name: &&'static str| {
         let version = Command::new(name).arg("--version").output();
         version.is_ok_and(|output| output.status.success())
     };
-    names.into_iter().find(is_there)
+    NAMES.into_iter().find(is_there).map(str::to_owned)
 }
 
 /// Opens pages, each as wide as it says.
@@ -179,7 +180,7 @@ fn run(browser: &str, folder: &Path, file: &Path) -> (String, String) {
         .stdout(File::create(&dom).unwrap())
         .stderr(File::create(&log).unwrap())
         .spawn()
-        .unwrap();
+        .unwrap_or_else(|error| panic!("{browser}: {error}"));
     let started = Instant::now();
     let status = loop {
         if let Some(status) = child.try_wait().unwrap() {
