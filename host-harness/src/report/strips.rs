@@ -13,8 +13,8 @@ use super::picture::{CELL, Picture};
 
 /// Width that a picture keeps below, in pixels: twice that of a page.
 pub const WIDTH_MAX: usize = 1_720;
-/// Letters are three times their size, so that they are legible on a page.
-const SCALE: usize = 3;
+/// Letters are twice their size, so that they are legible on a page.
+const SCALE: usize = 2;
 /// Height and width of a letter, in pixels.
 pub const LETTER: usize = CELL * SCALE;
 const MARGIN: usize = 16;
@@ -195,9 +195,9 @@ mod tests {
         let style = FrameStyle::for_sensor(part.size);
         assert_eq!((part.x, part.y, part.size), (900, 500, sensor(200, 150)));
         let pixel = |column: usize, slot: usize, x: usize, y: usize| {
-            let left = MARGIN + 1 + column * (400 + 2 + MARGIN);
-            let top = BAR + 1 + slot * (300 + 2 + BAR);
-            picture.pixel(left + 2 * x, top + 2 * y)
+            let left = MARGIN + 1 + column * (600 + 2 + MARGIN);
+            let top = BAR + 1 + slot * (450 + 2 + BAR);
+            picture.pixel(left + 3 * x, top + 3 * y)
         };
         let [on, off, white] = [1, -1, 0].map(|sum| Some(style.colour(sum)));
         for (column, slot, expected) in [
@@ -209,6 +209,6 @@ mod tests {
             let seen = places.map(|(x, y)| pixel(column, slot, x, y));
             assert_eq!(seen, expected, "{column} {slot}");
         }
-        assert_eq!(picture.width(), 2 * (400 + 2 + MARGIN) + MARGIN);
+        assert_eq!(picture.width(), 2 * (600 + 2 + MARGIN) + MARGIN);
     }
 }

@@ -32,7 +32,7 @@ dt { font-weight: 600; margin-top: .9rem } dd { margin: .1rem 0 0 0; max-width: 
 nav a { margin-right: 1rem } footer { margin-top: 3rem; font-size: .85rem; color: #444 }
 nav a { display: inline-block }
 @media (max-width: 600px) { body { padding: .6rem } h1 { font-size: 1.35rem } tbody th { white-space: normal }
-  figure svg { max-width: none } figure img { min-width: 780px; max-width: none } }
+  figure svg { max-width: none } figure img { width: 980px; max-width: none } }
 ";
 
 /// The page of a study; figures come after the tables of their section, which is their name's first
@@ -173,7 +173,12 @@ fn list(answer: &Answer, rows: &[(String, Option<f64>, usize)]) -> String {
         };
         Some(format!("{} {error}{of}", label(method)))
     });
-    parts.collect::<Vec<_>>().join(", ")
+    let parts: Vec<_> = parts.collect();
+    if parts.is_empty() {
+        "none of them".to_owned()
+    } else {
+        parts.join(", ")
+    }
 }
 
 impl Figure {

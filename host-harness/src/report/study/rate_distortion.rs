@@ -156,12 +156,13 @@ impl RateDistortion<'_> {
             }
             for (at, point) in all {
                 mark(panel, at, *colour, *is_triangle, scale)?;
-                // Below the front, which events are, and above all others: so both are legible.
-                let (beside, anchor) = if *name == "events" {
-                    ((at.0 - 6 * scale, at.1 + 2 * scale), HPos::Right)
-                } else {
-                    ((at.0 + 6 * scale, at.1 - 14 * scale), HPos::Left)
+                // Below the front, which events are, and above all others; both exact settings are close.
+                let (x, y, anchor) = match (*name, point.label.as_str()) {
+                    ("events", "fast") => (6, 2, HPos::Left),
+                    ("events", _) => (-6, 2, HPos::Right),
+                    _ => (6, -14, HPos::Left),
                 };
+                let beside = (at.0 + x * scale, at.1 + y * scale);
                 let style = text(12, scale)
                     .color(colour)
                     .pos(Pos::new(anchor, VPos::Top));
