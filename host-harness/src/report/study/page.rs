@@ -31,7 +31,7 @@ dt { font-weight: 600; margin-top: .9rem } dd { margin: .1rem 0 0 0; max-width: 
 .holds { color: #00694b } .partly { color: #8a5a00 } .fails { color: #a33b00 }
 nav a { margin-right: 1rem } footer { margin-top: 3rem; font-size: .85rem; color: #444 }
 nav a { display: inline-block }
-@media (max-width: 600px) { body { padding: .6rem } h1 { font-size: 1.35rem } tbody th { white-space: normal }
+@media (max-width: 600px) { body { padding: .6rem } h1 { font-size: 1.35rem } tbody th { white-space: normal; min-width: 7.5rem }
   figure svg { max-width: none } figure img { width: 980px; max-width: none } }
 ";
 

@@ -19,6 +19,8 @@ const PANEL: u32 = 430;
 /// Where no error is, in us; and the least that is drawn above it.
 const FOOT_US: f64 = 0.01;
 const LEAST_US: f64 = 0.1;
+/// Points that are nearer have one label, in pixels.
+const NEAR: i32 = 12;
 
 /// A point of a representation.
 #[derive(Debug, Clone, PartialEq)]
@@ -102,7 +104,7 @@ impl RateDistortion<'_> {
             .map(|point| point.error_us)
             .fold(LEAST_US, f64::max);
         let bits = if least < most {
-            (least / 1.8, most * 1.6)
+            (least / 3.0, most * 1.6)
         } else {
             (1.0, 100.0)
         };
@@ -154,10 +156,16 @@ impl RateDistortion<'_> {
                 let line: Vec<_> = group.iter().map(|(at, _)| *at).collect();
                 panel.draw(&PathElement::new(line, colour.stroke_width(scale as u32)))?;
             }
-            for (at, point) in all {
-                mark(panel, at, *colour, *is_triangle, scale)?;
+            for (at, _) in &all {
+                mark(panel, *at, *colour, *is_triangle, scale)?;
+            }
+            let named = all
+                .iter()
+                .map(|(at, point)| (*at, point.label.as_str()))
+                .collect::<Vec<_>>();
+            for (at, label) in labels(&named, NEAR * scale) {
                 // Below the front, which events are, and above all others; both exact settings are close.
-                let (x, y, anchor) = match (*name, point.label.as_str()) {
+                let (x, y, anchor) = match (*name, label.as_str()) {
                     ("events", "fast") => (6, 2, HPos::Left),
                     ("events", _) => (-6, 2, HPos::Right),
                     _ => (6, -14, HPos::Left),
@@ -166,11 +174,29 @@ impl RateDistortion<'_> {
                 let style = text(12, scale)
                     .color(colour)
                     .pos(Pos::new(anchor, VPos::Top));
-                panel.draw_text(&point.label, &style, beside)?;
+                panel.draw_text(&label, &style, beside)?;
             }
         }
         Ok(())
     }
+}
+
+/// Labels of points, one for those that are at most `near` pixels from the first of them either way.
+fn labels(points: &[((i32, i32), &str)], near: i32) -> Vec<((i32, i32), String)> {
+    let mut labels: Vec<((i32, i32), String)> = Vec::new();
+    for ((x, y), label) in points {
+        let is_near = |((at_x, at_y), _): &&mut ((i32, i32), String)| {
+            (x - at_x).abs() <= near && (y - at_y).abs() <= near
+        };
+        match labels.iter_mut().find(is_near) {
+            Some((_, all)) => {
+                all.push_str(", ");
+                all.push_str(label);
+            }
+            None => labels.push(((*x, *y), (*label).to_owned())),
+        }
+    }
+    labels
 }
 
 /// Ones, twos and fives.
@@ -239,5 +265,35 @@ impl Chart for RateDistortion<'_> {
             self.panel(set, panel, scale)?;
         }
         area.present()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_beside_each_other_have_one_label() {
+        let points = [
+            ((100, 100), "4 bins"),
+            ((300, 100), "8 bins"),
+            ((112, 88), "4000 us"),
+            ((113, 100), "1000 us"),
+            ((300, 113), "500 us"),
+        ];
+        let labels = labels(&points, 12);
+        let labels: Vec<_> = labels
+            .iter()
+            .map(|(at, label)| (*at, label.as_str()))
+            .collect();
+        assert_eq!(
+            labels,
+            [
+                ((100, 100), "4 bins, 4000 us"),
+                ((300, 100), "8 bins"),
+                ((113, 100), "1000 us"),
+                ((300, 113), "500 us"),
+            ]
+        );
     }
 }
