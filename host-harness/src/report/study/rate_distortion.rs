@@ -104,7 +104,7 @@ impl RateDistortion<'_> {
             .map(|point| point.error_us)
             .fold(LEAST_US, f64::max);
         let bits = if least < most {
-            (least / 3.0, most * 1.6)
+            (least / 3.4, most * 1.6)
         } else {
             (1.0, 100.0)
         };
