@@ -1,6 +1,6 @@
 //! The page of `eecvs report` in a browser, as wide as a desk's and as a telephone's: everything is there,
 //! legible and within reach, and nothing comes from elsewhere. Skipped, with a notice, without Chromium;
-//! which one is run says the variable `EECVS_BROWSER`.
+//! which one is run says the variable `EECVS_BROWSER`. The page is kept in the file that `EECVS_PAGE` names.
 
 mod browser;
 
