@@ -11,6 +11,8 @@
 #             with a real kernel
 #   metrics   the metrics against scipy and scikit-image, in a Python of its own: only when it is named (the
 #             unit stage compares them where the system's Python has these)
+#   page      the page of `eecvs report` in a browser, at the width of a desk and of a telephone: only when it
+#             is named (the unit stage opens it where there is a browser)
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
 #             it is named
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 2)
@@ -117,6 +119,28 @@ metrics() {
     fi
     EECVS_PYTHON=$PWD/$folder/bin/python \
         cargo test --workspace "${FEATURES[@]}" --test metrics_reference -- --nocapture
+}
+
+# The name of a browser that the page is opened in, as host-harness/tests/browser/mod.rs has them.
+browser() {
+    local name
+    for name in chromium chromium-browser google-chrome google-chrome-stable; do
+        ! "$name" --version >/dev/null 2>&1 || { echo "$name"; return; }
+    done
+    return 1
+}
+
+page() {
+    local name=${EECVS_BROWSER:-}
+    if [ -z "$name" ] && ! name=$(browser); then
+        echo "installing chromium"
+        if ! packages chromium || ! name=$(browser); then
+            skip "page: there is no chromium and apt-get cannot install it"
+            return
+        fi
+    fi
+    # Named, it must run.
+    EECVS_BROWSER=$name cargo test --workspace "${FEATURES[@]}" --test report_page -- --nocapture
 }
 
 # A target's core library, installed if rustup may.
@@ -254,7 +278,7 @@ if [ ${#stages[@]} = 0 ]; then
 fi
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | metrics | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
+        lint | unit | metrics | page | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: no stage '$stage'; see the head of this file" >&2; exit 2 ;;
     esac
 done

@@ -74,10 +74,10 @@ impl Report {
         let folder = &self.output;
         fs::create_dir_all(folder)
             .with_context(|| format!("{}: cannot create the folder", folder.display()))?;
-        let effort = if self.quick {
-            Effort::QUICK
+        let (effort, kernels) = if self.quick {
+            (Effort::QUICK, bench::Effort::QUICK)
         } else {
-            Effort::FULL
+            (Effort::FULL, bench::Effort::FULL)
         };
         let model = self.segmenter.as_deref();
         // A model that cannot be run is told before anything takes long.
@@ -100,7 +100,7 @@ impl Report {
         study::run(&sets, &effort, &|| self::segmenter(model), &store, &show)?;
         drop(progress);
         let results = store.results();
-        let figures = self.figures(&sets, &results)?;
+        let figures = figures::all(&sets, &results, kernels)?;
         let files = write(folder, &results, &figures)?;
         if let Some(path) = &self.save {
             MARKS.write(path, &tables::document(&results))?;
@@ -140,19 +140,6 @@ impl Report {
             sets.extend(set);
         }
         Ok(sets)
-    }
-
-    /// Everything that the page shows beside its tables.
-    fn figures(&self, sets: &[Set], results: &Results) -> Result<Vec<Figure>> {
-        let mut figures = figures::charts(results)?;
-        figures.extend(figures::of_slices(sets)?);
-        let effort = if self.quick {
-            bench::Effort::QUICK
-        } else {
-            bench::Effort::FULL
-        };
-        figures.push(figures::of_kernels(effort)?);
-        Ok(figures)
     }
 }
 

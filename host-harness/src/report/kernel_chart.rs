@@ -271,8 +271,8 @@ where
         .light_line_style(TRANSPARENT)
         .bold_line_style(GRID)
         .axis_style(FRONT)
-        .label_style(text(11, scale))
-        .axis_desc_style(text(12, scale))
+        .label_style(text(12, scale))
+        .axis_desc_style(text(13, scale))
         .x_desc(unit)
         .y_desc("largest error of a coefficient")
         .x_label_formatter(&|v| power(*v))
@@ -306,8 +306,8 @@ where
         chart.draw_series([Circle::new(at, 4 * scale, style)])?;
         let (x, y) = chart.backend_coord(&at);
         let (left, top) = panel.get_base_pixel();
-        let label = text(10, scale).color(&colour);
-        let at = (x - left + 5 * scale, y - top - 12 * scale);
+        let label = text(12, scale).color(&colour);
+        let at = (x - left + 5 * scale, y - top - 14 * scale);
         panel.draw_text(&row.m.to_string(), &label, at)?;
     }
     // At the foot: what has no error.

@@ -7,6 +7,7 @@ pub mod frame_picture;
 pub mod kernel_chart;
 pub mod kernel_table;
 pub mod marks;
+pub mod part;
 pub mod picture;
 pub mod picture_backend;
 pub mod rate_chart;

@@ -8,44 +8,47 @@ use eecvs_nostd::{Event, Sensor};
 use super::frame_picture::{
     FrameStyle, FrameSums, INK, LINE, PAPER, draw_legend, event_frame, legend_width,
 };
+use super::part::Part;
 use super::picture::{CELL, Picture};
 
 /// Width that a picture keeps below, in pixels: twice that of a page.
 pub const WIDTH_MAX: usize = 1_720;
 /// Letters are twice their size, so that they are legible on a page.
 const SCALE: usize = 2;
-const MARGIN: usize = CELL * SCALE;
+/// Height and width of a letter, in pixels.
+pub const LETTER: usize = CELL * SCALE;
+const MARGIN: usize = 16;
 /// Height of a caption and the space around it.
-const BAR: usize = 2 * MARGIN;
+const BAR: usize = LETTER + MARGIN;
 /// Columns beside each other; more would cut most captions off.
-const COLUMNS_MAX: usize = 5;
+const COLUMNS_MAX: usize = 4;
 
-/// Size of the panels, and how many stand beside each other.
+/// A slice by several methods.
+#[derive(Debug, Clone)]
+pub struct Strips {
+    /// 1,720 pixels wide at the most.
+    pub picture: Picture,
+    /// What is shown of the sensor, the same in every panel.
+    pub part: Part,
+}
+
+/// How many panels stand beside each other, and their size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Layout {
     columns: usize,
-    /// A panel's pixel is the sum of this many squared of the sensor.
-    factor: u16,
     upscale: usize,
 }
 
 impl Layout {
-    /// As many columns as fit with a pixel per pixel, but two where there are two: then pixels are summed.
-    fn new(sensor: Sensor, count: usize, upscale_max: usize) -> Self {
-        let width = usize::from(sensor.width.max(1));
-        let least = count.clamp(1, 2);
-        let most = count.clamp(1, COLUMNS_MAX);
-        let fitting = (least..=most).rev().find(|c| width <= room(*c));
-        let columns = fitting.unwrap_or(least);
-        // The same number of rows takes as few columns as it can: the last row is as full as can be.
-        let rows = count.max(1).div_ceil(columns);
-        let columns = count.max(1).div_ceil(rows).max(least);
-        let room = room(columns).max(1);
+    /// As few columns as the least number of rows takes: the last row is as full as can be.
+    fn new(part: Sensor, count: usize, upscale_max: usize) -> Self {
+        let count = count.max(1);
+        let rows = count.div_ceil(COLUMNS_MAX);
+        let columns = count.div_ceil(rows);
+        let width = usize::from(part.width.max(1));
         Self {
             columns,
-            // No side is above 2048.
-            factor: width.div_ceil(room) as u16,
-            upscale: (room / width).clamp(1, upscale_max.max(1)),
+            upscale: (room(columns) / width).clamp(1, upscale_max.max(1)),
         }
     }
 }
@@ -56,24 +59,20 @@ const fn room(columns: usize) -> usize {
 }
 
 /// Draws the original's events of a slice, and below each method's name its events of that slice and
-/// their difference to the original; 1,720 pixels wide at the most.
+/// their difference to the original.
 ///
-/// `style.upscale` is the largest that is used. Where a sensor is too wide, a pixel is the sum of s x s of
-/// its pixels, and the darkest colour stands for s times the clip, as the colour scale says. A caption
-/// that is longer than its panel is cut off.
+/// Of a wide sensor the densest part of the original is shown, see [`Part::densest`]; panels are enlarged
+/// as [`FrameStyle::for_sensor`] has it and as they fit. A caption that is longer than its panel is cut off.
 #[must_use]
-pub fn strips(
-    sensor: Sensor,
-    original: &[Event],
-    methods: &[(String, Vec<Event>)],
-    style: FrameStyle,
-) -> Picture {
-    let layout = Layout::new(sensor, methods.len() + 1, style.upscale);
+pub fn strips(sensor: Sensor, original: &[Event], methods: &[(String, Vec<Event>)]) -> Strips {
+    let part = Part::densest(sensor, original);
+    let style = FrameStyle::for_sensor(part.size);
+    let layout = Layout::new(part.size, methods.len() + 1, style.upscale);
     let style = FrameStyle {
-        clip: style.clip.saturating_mul(u32::from(layout.factor)),
         upscale: layout.upscale,
+        ..style
     };
-    let sums = |events: &[Event]| FrameSums::new(sensor, events).shrunk(layout.factor);
+    let sums = |events: &[Event]| FrameSums::new(part.size, &part.cut(events));
     let original = sums(original);
     let panel = event_frame(&original, style);
     let (pitch, slot) = (panel.width() + 2 + MARGIN, panel.height() + 2 + BAR);
@@ -101,12 +100,15 @@ pub fn strips(
     }
     let y = rows * row_height + MARGIN / 2;
     draw_legend(&mut canvas, MARGIN, y, style, SCALE);
-    canvas
+    Strips {
+        picture: canvas,
+        part,
+    }
 }
 
 /// A panel with its caption, the upper left corner of both together at (x, y).
 fn place(canvas: &mut Picture, (x, y): (usize, usize), caption: &str, panel: &Picture) {
-    let letters = panel.width() / (CELL * SCALE);
+    let letters = panel.width() / LETTER;
     let caption: String = caption.chars().take(letters).collect();
     canvas.text(x + 1, y + MARGIN / 2, SCALE, &caption, INK);
     canvas.fill(x, y + BAR, panel.width() + 2, panel.height() + 2, LINE);
@@ -125,22 +127,19 @@ mod tests {
     #[test]
     fn every_method_stands_above_its_difference() {
         let sensor = sensor(100, 80);
-        let style = FrameStyle {
-            clip: 4,
-            upscale: 3,
-        };
+        let style = FrameStyle::for_sensor(sensor);
         let original = [event(0, 10, 20, true)];
         let methods = [
             ("same".to_owned(), original.to_vec()),
             ("other".to_owned(), vec![event(0, 50, 60, true)]),
         ];
-        let picture = strips(sensor, &original, &methods, style);
+        let picture = strips(sensor, &original, &methods).picture;
         let (on, off) = (Some(style.colour(1)), Some(style.colour(-1)));
         let white = Some(style.colour(0));
         let at = |column: usize, slot: usize, x: usize, y: usize| {
-            let left = MARGIN + 1 + column * (300 + 2 + MARGIN);
-            let top = BAR + 1 + slot * (240 + 2 + BAR);
-            picture.pixel(left + 3 * x + 1, top + 3 * y + 1)
+            let left = MARGIN + 1 + column * (500 + 2 + MARGIN);
+            let top = BAR + 1 + slot * (400 + 2 + BAR);
+            picture.pixel(left + 5 * x + 1, top + 5 * y + 1)
         };
         for (column, slot, at_original, at_other) in [
             (0, 0, on, white),
@@ -154,58 +153,62 @@ mod tests {
         }
         // Below the original is nothing.
         assert_eq!(at(0, 1, 10, 20), Some(PAPER));
-        assert_eq!(picture.width(), 3 * (300 + 2 + MARGIN) + MARGIN);
+        assert_eq!(picture.width(), 3 * (500 + 2 + MARGIN) + MARGIN);
     }
 
     #[test]
     fn methods_go_on_in_further_rows() {
         let layout = |width, count| Layout::new(sensor(width, 100), count, 100);
-        for (width, count, columns) in [
-            (346, 3, 3),
-            (346, 5, 3),
-            (346, 8, 4),
-            (128, 6, 3),
-            (128, 5, 5),
-            (640, 3, 2),
-            (1280, 1, 1),
-            (1280, 4, 2),
+        for (width, count, columns, upscale) in [
+            (346, 1, 1, 4),
+            (346, 3, 3, 1),
+            (346, 4, 4, 1),
+            (346, 5, 3, 1),
+            (200, 11, 4, 2),
+            (128, 9, 3, 4),
+            (1, 2, 2, 100),
         ] {
-            assert_eq!(layout(width, count).columns, columns, "{width} {count}");
+            let expected = Layout { columns, upscale };
+            assert_eq!(layout(width, count), expected, "{width} {count}");
         }
-        assert_eq!(layout(1280, 4).factor, 2);
-        assert_eq!(layout(346, 8).factor, 1);
-        assert_eq!(layout(128, 5).upscale, 2);
     }
 
     #[test]
     fn pictures_keep_to_the_width() {
-        let style = FrameStyle {
-            clip: 4,
-            upscale: 100,
-        };
         for (width, height) in [(1, 1), (34, 34), (346, 260), (1280, 720), (2048, 4)] {
             for count in [0, 1, 2, 4, 7, 11] {
                 let methods = vec![("a name of some length".to_owned(), vec![]); count];
-                let picture = strips(sensor(width, height), &[], &methods, style);
+                let picture = strips(sensor(width, height), &[], &methods).picture;
                 assert!(picture.width() <= WIDTH_MAX, "{width} {count}");
             }
         }
     }
 
     #[test]
-    fn a_wide_sensor_is_summed() {
-        let events = [event(0, 1200, 100, true), event(0, 1201, 101, true)];
-        let style = FrameStyle {
-            clip: 3,
-            upscale: 1,
+    fn every_panel_of_a_wide_sensor_shows_the_same_part() {
+        let at = |x, y| event(0, x, y, true);
+        // The densest part is the original's, whatever a method makes of it.
+        let original = [at(900, 500), at(1099, 649), at(3, 3)];
+        let moved = vec![at(901, 500), at(3, 3), at(4, 4), at(5, 5), at(6, 6)];
+        let Strips { picture, part } =
+            strips(sensor(1280, 720), &original, &[("moved".to_owned(), moved)]);
+        let style = FrameStyle::for_sensor(part.size);
+        assert_eq!((part.x, part.y, part.size), (900, 500, sensor(200, 150)));
+        let pixel = |column: usize, slot: usize, x: usize, y: usize| {
+            let left = MARGIN + 1 + column * (600 + 2 + MARGIN);
+            let top = BAR + 1 + slot * (450 + 2 + BAR);
+            picture.pixel(left + 3 * x, top + 3 * y)
         };
-        let methods = [("none".to_owned(), vec![])];
-        let picture = strips(sensor(1280, 720), &events, &methods, style);
-        let summed = FrameStyle {
-            clip: 6,
-            upscale: 1,
-        };
-        let at = picture.pixel(MARGIN + 1 + 600, BAR + 1 + 50);
-        assert_eq!(at, Some(summed.colour(2)));
+        let [on, off, white] = [1, -1, 0].map(|sum| Some(style.colour(sum)));
+        for (column, slot, expected) in [
+            (0, 0, [on, white, on, white]),
+            (1, 0, [white, on, white, white]),
+            (1, 1, [off, on, off, white]),
+        ] {
+            let places = [(0, 0), (1, 0), (199, 149), (3, 3)];
+            let seen = places.map(|(x, y)| pixel(column, slot, x, y));
+            assert_eq!(seen, expected, "{column} {slot}");
+        }
+        assert_eq!(picture.width(), 2 * (600 + 2 + MARGIN) + MARGIN);
     }
 }

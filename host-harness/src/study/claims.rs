@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::Results;
+use super::density::Densities;
 use super::effort::M;
 use super::paper;
 use super::quality::Quality;
@@ -63,6 +64,12 @@ impl Results {
     pub fn sets(&self) -> Vec<&'static str> {
         let has = |set: &&str| self.record.sources.iter().any(|source| source.set == **set);
         [SCENES, RECORDINGS].into_iter().filter(has).collect()
+    }
+
+    /// Densities of the sets, in the order of [`Results::sets`].
+    pub fn densities(&self) -> impl Iterator<Item = &Densities> {
+        let of = |set: &'static str| self.density.iter().filter(move |of| of.set == set);
+        self.sets().into_iter().flat_map(of)
     }
 
     /// A row of Tables I and II: natural type, times found exactly where there is a choice; of those

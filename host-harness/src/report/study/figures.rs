@@ -10,11 +10,10 @@ use crate::baseline::{Baseline, Stored};
 use crate::bench::{self, Origin, cut, mcu};
 use crate::reconstruct::events::Finder;
 use crate::report::chart::{self, DensityPoint, Thresholds};
-use crate::report::frame_picture::FrameStyle;
 use crate::report::kernel_chart;
 use crate::report::picture::Picture;
 use crate::report::sheet::Sheet;
-use crate::report::strips::strips;
+use crate::report::strips::{Strips, strips};
 use crate::source::{Source, WINDOW_US};
 use crate::study::Results;
 use crate::study::density::Densities;
@@ -48,6 +47,17 @@ impl Figure {
     }
 }
 
+/// Everything that the page shows beside its tables.
+///
+/// # Errors
+/// As [`charts`], [`of_slices`] and [`of_kernels`].
+pub fn all(sets: &[Set], results: &Results, effort: bench::Effort) -> Result<Vec<Figure>> {
+    let mut figures = charts(results)?;
+    figures.extend(of_slices(sets)?);
+    figures.push(of_kernels(effort)?);
+    Ok(figures)
+}
+
 /// Rates, errors of times, and densities.
 ///
 /// # Errors
@@ -67,7 +77,7 @@ pub fn charts(results: &Results) -> Result<Vec<Figure>> {
             Sheet::new(&TimeErrors(results))?,
         ),
     ];
-    for set in &results.density {
+    for set in results.densities() {
         let densities: Vec<f64> = set
             .sources
             .iter()
@@ -137,18 +147,19 @@ pub fn of_slices(sets: &[Set]) -> Result<Vec<Figure>> {
             };
             methods.push((name, slice(&trip.events)));
         }
-        let style = FrameStyle::for_sensor(window.sensor);
+        let Strips { picture, part } = strips(window.sensor, &slice(&window.events), &methods);
         figures.push(Figure {
             name: format!("table-one-strips-{}", set.name),
             caption: format!(
-                "{} ms out of a window of {} ({} events): the original, and for each representation at \
-                 M = {M} what came back above its difference to the original.",
+                "{} ms out of a window of {} ({} events), {part}{}: the original, and for each representation \
+                 at M = {M} what came back above its difference to the original.",
                 figure_ms(SLICE_US),
                 source.name,
-                window.events.len()
+                window.events.len(),
+                if part.is_cut() { ", the densest" } else { "" }
             ),
             svg: None,
-            png: strips(window.sensor, &slice(&window.events), &methods, style),
+            png: picture,
         });
     }
     Ok(figures)

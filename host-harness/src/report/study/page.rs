@@ -12,7 +12,7 @@ use crate::study::claims::{Answer, Verdict, figure};
 const STYLE: &str = "\
 :root { color-scheme: light }
 * { box-sizing: border-box }
-body { font: 16px/1.55 system-ui, sans-serif; color: #222; background: #fff; max-width: 68rem;
+body { font: 16px/1.55 system-ui, sans-serif; color: #222; background: #fff; max-width: 78rem;
   margin: 0 auto; padding: 1rem }
 h1 { font-size: 1.7rem; line-height: 1.2 } h2 { margin-top: 2.5rem; border-bottom: 2px solid #0072b2 }
 h3 { margin: 1.5rem 0 .3rem } p { max-width: 46rem }
@@ -20,8 +20,9 @@ h3 { margin: 1.5rem 0 .3rem } p { max-width: 46rem }
 .wide { overflow-x: auto; max-width: 100% }
 table { border-collapse: collapse; font-size: .86rem; font-variant-numeric: tabular-nums }
 th, td { padding: .22rem .6rem; text-align: right; border-bottom: 1px solid #ddd; white-space: nowrap }
-th[scope=row], th:first-child { text-align: left; font-weight: 500 }
-td:nth-child(2) { text-align: right }
+.text { text-align: left }
+tbody th { font-weight: 500 }
+th:first-child { position: sticky; left: 0; background: #fff }
 thead th { border-bottom: 2px solid #888; font-weight: 600; vertical-align: bottom; white-space: normal }
 tbody tr:last-child > * { border-bottom: 2px solid #888 }
 figure { margin: 1rem 0 } figure svg, figure img { max-width: 100%; height: auto; display: block }
@@ -29,7 +30,9 @@ figcaption { font-size: .9rem; color: #444; max-width: 46rem }
 dt { font-weight: 600; margin-top: .9rem } dd { margin: .1rem 0 0 0; max-width: 46rem }
 .holds { color: #00694b } .partly { color: #8a5a00 } .fails { color: #a33b00 }
 nav a { margin-right: 1rem } footer { margin-top: 3rem; font-size: .85rem; color: #444 }
-@media (max-width: 600px) { body { padding: .6rem } h1 { font-size: 1.35rem } figure .wide svg { min-width: 620px } }
+nav a { display: inline-block }
+@media (max-width: 600px) { body { padding: .6rem } h1 { font-size: 1.35rem } tbody th { white-space: normal; min-width: 7.5rem }
+  figure svg { max-width: none } figure img { width: 980px; max-width: none } }
 ";
 
 /// The page of a study; figures come after the tables of their section, which is their name's first
@@ -170,7 +173,12 @@ fn list(answer: &Answer, rows: &[(String, Option<f64>, usize)]) -> String {
         };
         Some(format!("{} {error}{of}", label(method)))
     });
-    parts.collect::<Vec<_>>().join(", ")
+    let parts: Vec<_> = parts.collect();
+    if parts.is_empty() {
+        "none of them".to_owned()
+    } else {
+        parts.join(", ")
+    }
 }
 
 impl Figure {

@@ -5,6 +5,7 @@
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::colours::REPRESENTATIONS;
 use crate::report::kernel_chart::{Drawn, FRONT, GRID, power, text};
@@ -18,6 +19,8 @@ const PANEL: u32 = 430;
 /// Where no error is, in us; and the least that is drawn above it.
 const FOOT_US: f64 = 0.01;
 const LEAST_US: f64 = 0.1;
+/// Points that are nearer have one label, in pixels.
+const NEAR: i32 = 12;
 
 /// A point of a representation.
 #[derive(Debug, Clone, PartialEq)]
@@ -101,7 +104,7 @@ impl RateDistortion<'_> {
             .map(|point| point.error_us)
             .fold(LEAST_US, f64::max);
         let bits = if least < most {
-            (least / 1.3, most * 1.6)
+            (least / 3.4, most * 1.6)
         } else {
             (1.0, 100.0)
         };
@@ -121,8 +124,8 @@ impl RateDistortion<'_> {
             .light_line_style(TRANSPARENT)
             .bold_line_style(GRID)
             .axis_style(FRONT)
-            .label_style(text(12, scale))
-            .axis_desc_style(text(13, scale))
+            .label_style(text(13, scale))
+            .axis_desc_style(text(14, scale))
             .x_desc("bits per event, packed")
             .y_desc("emd_pixel, us")
             .x_label_formatter(&|bits| bits_label(*bits))
@@ -135,7 +138,7 @@ impl RateDistortion<'_> {
             })
             .draw()?;
         let (left, top) = panel.get_base_pixel();
-        for ((_, _, colour, is_triangle), points) in &all {
+        for ((name, _, colour, is_triangle), points) in &all {
             let places: Vec<_> = points
                 .iter()
                 .map(|point| {
@@ -153,14 +156,47 @@ impl RateDistortion<'_> {
                 let line: Vec<_> = group.iter().map(|(at, _)| *at).collect();
                 panel.draw(&PathElement::new(line, colour.stroke_width(scale as u32)))?;
             }
-            for (at, point) in all {
-                mark(panel, at, *colour, *is_triangle, scale)?;
-                let beside = (at.0 + 6 * scale, at.1 - 13 * scale);
-                panel.draw_text(&point.label, &text(11, scale).color(colour), beside)?;
+            for (at, _) in &all {
+                mark(panel, *at, *colour, *is_triangle, scale)?;
+            }
+            let named = all
+                .iter()
+                .map(|(at, point)| (*at, point.label.as_str()))
+                .collect::<Vec<_>>();
+            for (at, label) in labels(&named, NEAR * scale) {
+                // Below the front, which events are, and above all others; both exact settings are close.
+                let (x, y, anchor) = match (*name, label.as_str()) {
+                    ("events", "fast") => (6, 2, HPos::Left),
+                    ("events", _) => (-6, 2, HPos::Right),
+                    _ => (6, -14, HPos::Left),
+                };
+                let beside = (at.0 + x * scale, at.1 + y * scale);
+                let style = text(12, scale)
+                    .color(colour)
+                    .pos(Pos::new(anchor, VPos::Top));
+                panel.draw_text(&label, &style, beside)?;
             }
         }
         Ok(())
     }
+}
+
+/// Labels of points, one for those that are at most `near` pixels from the first of them either way.
+fn labels(points: &[((i32, i32), &str)], near: i32) -> Vec<((i32, i32), String)> {
+    let mut labels: Vec<((i32, i32), String)> = Vec::new();
+    for ((x, y), label) in points {
+        let is_near = |((at_x, at_y), _): &&mut ((i32, i32), String)| {
+            (x - at_x).abs() <= near && (y - at_y).abs() <= near
+        };
+        match labels.iter_mut().find(is_near) {
+            Some((_, all)) => {
+                all.push_str(", ");
+                all.push_str(label);
+            }
+            None => labels.push(((*x, *y), (*label).to_owned())),
+        }
+    }
+    labels
 }
 
 /// Ones, twos and fives.
@@ -229,5 +265,35 @@ impl Chart for RateDistortion<'_> {
             self.panel(set, panel, scale)?;
         }
         area.present()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_beside_each_other_have_one_label() {
+        let points = [
+            ((100, 100), "4 bins"),
+            ((300, 100), "8 bins"),
+            ((112, 88), "4000 us"),
+            ((113, 100), "1000 us"),
+            ((300, 113), "500 us"),
+        ];
+        let labels = labels(&points, 12);
+        let labels: Vec<_> = labels
+            .iter()
+            .map(|(at, label)| (*at, label.as_str()))
+            .collect();
+        assert_eq!(
+            labels,
+            [
+                ((100, 100), "4 bins, 4000 us"),
+                ((300, 100), "8 bins"),
+                ((113, 100), "1000 us"),
+                ((300, 113), "500 us"),
+            ]
+        );
     }
 }

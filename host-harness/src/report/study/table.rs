@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-/// Rows of cells below a row of headings. The first column is of names, others of numbers.
+/// Rows of cells below a row of headings. The first column is of names, others of names or of numbers.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Table {
     /// What stands above it.
@@ -27,6 +27,13 @@ impl Table {
         }
     }
 
+    /// Whether a column is of names, which stand at its left.
+    fn is_text(&self, column: usize) -> bool {
+        let is_number = |cell: &str| cell == "n/a" || cell.trim_matches('*').parse::<f64>().is_ok();
+        let mut cells = self.rows.iter().filter_map(|row| row.get(column));
+        column == 0 || cells.any(|cell| !is_number(cell))
+    }
+
     /// As HTML, in a box that scrolls where it is too wide. A cell between asterisks is bold.
     #[must_use]
     pub fn html(&self) -> String {
@@ -35,13 +42,22 @@ impl Table {
             escape(&self.title),
             escape(&self.caption)
         );
-        for cell in &self.head {
-            let _ = write!(html, "<th scope=\"col\">{}</th>", escape(cell));
+        let class: Vec<&str> = (0..self.head.len())
+            .map(|column| {
+                if self.is_text(column) {
+                    " class=\"text\""
+                } else {
+                    ""
+                }
+            })
+            .collect();
+        for (cell, class) in self.head.iter().zip(&class) {
+            let _ = write!(html, "<th scope=\"col\"{class}>{}</th>", escape(cell));
         }
         html += "</tr></thead>\n<tbody>\n";
         for row in &self.rows {
             html += "<tr>";
-            for (column, cell) in row.iter().enumerate() {
+            for (column, (cell, class)) in row.iter().zip(&class).enumerate() {
                 let bold = cell
                     .strip_prefix("**")
                     .and_then(|cell| cell.strip_suffix("**"));
@@ -50,9 +66,9 @@ impl Table {
                     |cell| format!("<strong>{}</strong>", escape(cell)),
                 );
                 let _ = if column == 0 {
-                    write!(html, "<th scope=\"row\">{cell}</th>")
+                    write!(html, "<th scope=\"row\"{class}>{cell}</th>")
                 } else {
-                    write!(html, "<td>{cell}</td>")
+                    write!(html, "<td{class}>{cell}</td>")
                 };
             }
             html += "</tr>\n";
@@ -85,18 +101,21 @@ mod tests {
 
     #[test]
     fn both_forms_have_every_cell() {
-        let mut table = Table::new("T < 1", "of & for", &["name", "x"]);
-        table.rows.push(vec!["a\"b".to_owned(), "**1**".to_owned()]);
+        let mut table = Table::new("T < 1", "of & for", &["name", "x", "kind"]);
+        let row = |cells: [&str; 3]| cells.map(str::to_owned).to_vec();
+        table.rows.push(row(["a\"b", "**1**", "2"]));
+        table.rows.push(row(["c", "n/a", "odd"]));
         assert_eq!(
             table.markdown(),
-            "| name | x |\n|---|---|\n| a\"b | **1** |\n"
+            "| name | x | kind |\n|---|---|---|\n| a\"b | **1** | 2 |\n| c | n/a | odd |\n"
         );
         let html = table.html();
         for part in [
             "<h3>T &lt; 1</h3>",
             "<p>of &amp; for</p>",
             "<th scope=\"col\">x</th>",
-            "<th scope=\"row\">a&quot;b</th><td><strong>1</strong></td>",
+            "<th scope=\"row\" class=\"text\">a&quot;b</th><td><strong>1</strong></td><td class=\"text\">2</td>",
+            "<td>n/a</td><td class=\"text\">odd</td>",
         ] {
             assert!(html.contains(part), "{part}: {html}");
         }

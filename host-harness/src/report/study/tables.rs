@@ -3,10 +3,10 @@
 
 use eecvs_nostd::Transform;
 
-use super::colours::label;
+use super::colours::{REPRESENTATIONS, label};
 use super::table::Table;
 use crate::study::Results;
-use crate::study::claims::{figure, median};
+use crate::study::claims::{family, figure, median};
 use crate::study::effort::M;
 use crate::study::paper;
 use crate::study::perception::Perception;
@@ -50,37 +50,37 @@ enum Better {
 const METRICS: [Metric; 6] = [
     (
         "emd_pixel, us",
-        "mean way of an event to its own time",
+        "Mean way of an event to its own time",
         Better::Less,
         |row| row.emd_pixel_us,
     ),
     (
         "emd_time, ms",
-        "distance of the times of a window's events, places ignored",
+        "Distance of the times of a window's events, places ignored",
         Better::Less,
         |row| row.emd_time_ms,
     ),
     (
         "mse",
-        "of signed frames of whole windows",
+        "Of signed frames of whole windows",
         Better::Less,
         |row| row.mse,
     ),
     (
         "ssim",
-        "of signed frames of whole windows",
+        "Of signed frames of whole windows",
         Better::More,
         |row| row.ssim,
     ),
     (
         "bits per event",
-        "as sent: frames, or dense arrays of f32",
+        "As sent: frames, or dense arrays of f32",
         Better::Neither,
         |row| row.bits_per_event,
     ),
     (
         "bits per event, packed",
-        "by what packs each best: the dense coder, or xz of the active pixels' numbers",
+        "By what packs each best: the dense coder, or xz of the active pixels' numbers",
         Better::Neither,
         |row| row.packed_bits_per_event,
     ),
@@ -334,6 +334,7 @@ pub fn tables_four_and_five(results: &Results) -> Vec<Table> {
                     shown.push((&row.method, &row.setting));
                 }
             }
+            shown.sort_by_key(|(method, setting)| order(method, setting));
             for (method, setting) in shown {
                 let rows = || {
                     results.perception.iter().filter(|row| {
@@ -375,6 +376,20 @@ pub fn tables_four_and_five(results: &Results) -> Vec<Table> {
     tables
 }
 
+/// Where a row stands: representations as in the charts, tolerances before bins, each by its number.
+fn order(method: &str, setting: &str) -> (usize, bool, u32) {
+    let representation = family(method);
+    let place = REPRESENTATIONS
+        .iter()
+        .position(|(name, ..)| *name == representation);
+    let number = setting.split(' ').next().and_then(|word| word.parse().ok());
+    (
+        place.unwrap_or(REPRESENTATIONS.len()),
+        setting.ends_with("bins"),
+        number.unwrap_or(0),
+    )
+}
+
 fn share<'r>(rows: impl Iterator<Item = &'r Perception>, metric: fn(&Perception) -> f64) -> String {
     mean(rows, metric).map_or("n/a".to_owned(), |mean| format!("{mean:.3}"))
 }
@@ -413,7 +428,7 @@ pub fn regimes(results: &Results) -> Table {
             "dense: DCT",
         ],
     );
-    for set in &results.density {
+    for set in results.densities() {
         let name = match set.set.as_str() {
             SCENES => "all scenes",
             RECORDINGS => "all recordings",
@@ -524,6 +539,27 @@ mod tests {
     use super::*;
     use crate::cmd::report::MARKS;
     use crate::report::marks::of_project;
+
+    #[test]
+    fn settings_stand_in_the_order_of_their_numbers() {
+        let mut rows = [
+            ("voxel", "f32"),
+            ("dct", "exact"),
+            ("hybrid-dense", "8 bins"),
+            ("hybrid-dense", "16 bins"),
+            ("hybrid-dense", "1000 us"),
+            ("hybrid-dense", "200 us"),
+            ("hybrid-fast", "lossless"),
+        ];
+        rows.sort_by_key(|(method, setting)| order(method, setting));
+        let settings = rows.map(|(_, setting)| setting);
+        assert_eq!(
+            settings,
+            [
+                "lossless", "200 us", "1000 us", "8 bins", "16 bins", "exact", "f32"
+            ]
+        );
+    }
 
     #[test]
     fn the_readme_is_of_the_committed_record() {
