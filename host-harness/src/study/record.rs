@@ -7,6 +7,7 @@ use sha2::{Digest, Sha256};
 
 use super::effort::Effort;
 use super::set::{SEED, Set};
+use crate::recordings::LeftOut;
 use crate::source::{Source, WINDOW_US};
 
 /// A source, so that another one of its name is told from it.
@@ -41,6 +42,9 @@ pub struct Record {
     pub window_us: u32,
     /// Every one.
     pub sources: Vec<SourceRecord>,
+    /// Files that were found and are not among them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOut>,
     /// The model of `--segmenter`, or the one that is built in.
     pub segmenter: String,
     /// Processor and its threads.
@@ -52,7 +56,7 @@ pub struct Record {
 impl Record {
     /// Of a study that begins now.
     #[must_use]
-    pub fn new(sets: &[Set], effort: &Effort, segmenter: &str) -> Self {
+    pub fn new(sets: &[Set], left_out: &[LeftOut], effort: &Effort, segmenter: &str) -> Self {
         let of_set = |set: &Set| {
             let name = set.name;
             set.sources
@@ -67,14 +71,15 @@ impl Record {
             seed: SEED,
             window_us: WINDOW_US,
             sources: sets.iter().flat_map(of_set).collect(),
+            left_out: left_out.to_vec(),
             segmenter: segmenter.to_owned(),
             machine: machine(),
             date: date(),
         }
     }
 
-    /// Whether rows of one study are rows of the other: all but machine and day agree, and, if asked, the
-    /// program.
+    /// Whether rows of one study are rows of the other: all but machine, day and what is left out
+    /// agree, and, if asked, the program.
     #[must_use]
     pub fn is_same_study(&self, other: &Self, same_program: bool) -> bool {
         let program = if same_program { other } else { self };
@@ -82,6 +87,7 @@ impl Record {
             program: program.program.clone(),
             machine: self.machine.clone(),
             date: self.date.clone(),
+            left_out: self.left_out.clone(),
             ..other.clone()
         };
         *self == alike

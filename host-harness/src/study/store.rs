@@ -91,7 +91,11 @@ impl Store {
                 }
             }
         }
-        let record = known.unwrap_or(record);
+        // What is left out is not measured: it may be other files today.
+        let record = Record {
+            left_out: record.left_out.clone(),
+            ..known.unwrap_or(record)
+        };
         let head = serde_json::to_string(&record)? + "\n" + &whole;
         std::fs::write(path, head)
             .with_context(|| format!("{}: cannot be written", path.display()))?;
@@ -198,7 +202,7 @@ mod tests {
     fn what_was_ended_goes_on() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rows.jsonl");
-        let record = Record::new(&[], &Effort::QUICK, "built-in");
+        let record = Record::new(&[], &[], &Effort::QUICK, "built-in");
         let (store, count) = Store::open(&path, record.clone(), true).unwrap();
         assert_eq!(count, 0);
         store.add("one", [row()]).unwrap();
@@ -239,7 +243,7 @@ mod tests {
         let path = folder.path().join("rows.jsonl");
         for bytes in [&b"\xff\xfe\n{}"[..], b"{}\n{}\n", b"\n\n"] {
             std::fs::write(&path, bytes).unwrap();
-            let record = Record::new(&[], &Effort::QUICK, "built-in");
+            let record = Record::new(&[], &[], &Effort::QUICK, "built-in");
             let (store, count) = Store::open(&path, record, true).unwrap();
             assert_eq!(count, 0);
             store.add("one", [row()]).unwrap();
