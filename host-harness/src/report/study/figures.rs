@@ -4,6 +4,7 @@ use anyhow::Result;
 use eecvs_nostd::{Coder, Event, Fidelity, Transform};
 
 use super::colours::label;
+use super::panels::Whole;
 use super::rate_distortion::RateDistortion;
 use super::time_errors::TimeErrors;
 use crate::baseline::{Baseline, Stored};
@@ -58,13 +59,13 @@ pub fn charts(results: &Results) -> Result<Vec<Figure>> {
             "rate-distortion".to_owned(),
             "Bits per event against the error of event times; what is exact stands at the foot. Down and \
              left is better.",
-            Sheet::new(&RateDistortion(results))?,
+            Sheet::new(&Whole(RateDistortion(results)))?,
         ),
         Figure::chart(
             "rate-times".to_owned(),
             "Share of events within an error of their own time. What does not reach 100 % came back as \
              another number of events. Up and left is better.",
-            Sheet::new(&TimeErrors(results))?,
+            Sheet::new(&Whole(TimeErrors(results)))?,
         ),
     ];
     for set in &results.density {

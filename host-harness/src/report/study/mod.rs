@@ -3,6 +3,7 @@
 pub mod colours;
 pub mod figures;
 pub mod page;
+pub mod panels;
 pub mod rate_distortion;
 pub mod table;
 pub mod tables;
