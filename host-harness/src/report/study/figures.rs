@@ -6,6 +6,7 @@ use eecvs_nostd::{Coder, Event, Fidelity, Transform};
 use super::colours::label;
 use super::panels::Whole;
 use super::rate_distortion::RateDistortion;
+use super::section::Section;
 use super::time_errors::TimeErrors;
 use crate::baseline::{Baseline, Stored};
 use crate::bench::{self, Origin, cut, mcu};
@@ -28,7 +29,9 @@ use crate::study::set::Set;
 /// A picture on the page, and beside it.
 #[derive(Debug, Clone)]
 pub struct Figure {
-    /// Name of its files without ending; it begins with the name of its section of the page.
+    /// Where it is on the page.
+    pub section: Section,
+    /// Name of its files without ending.
     pub name: String,
     /// What stands below it.
     pub caption: String,
@@ -39,8 +42,9 @@ pub struct Figure {
 }
 
 impl Figure {
-    fn chart(name: String, caption: &str, sheet: Sheet) -> Self {
+    fn chart(section: Section, name: String, caption: &str, sheet: Sheet) -> Self {
         Self {
+            section,
             name,
             caption: caption.to_owned(),
             svg: Some(sheet.svg),
@@ -56,12 +60,14 @@ impl Figure {
 pub fn charts(results: &Results) -> Result<Vec<Figure>> {
     let mut figures = vec![
         Figure::chart(
+            Section::Rate,
             "rate-distortion".to_owned(),
             "Bits per event against the error of event times; what is exact stands at the foot. Down and \
              left is better.",
             Sheet::new(&Whole(RateDistortion(results)))?,
         ),
         Figure::chart(
+            Section::Rate,
             "rate-times".to_owned(),
             "Share of events within an error of their own time. What does not reach 100 % came back as \
              another number of events. Up and left is better.",
@@ -76,12 +82,14 @@ pub fn charts(results: &Results) -> Result<Vec<Figure>> {
             .collect();
         let title = format!("{} windows of the {}", densities.len(), set.set);
         figures.push(Figure::chart(
+            Section::Density,
             format!("density-histogram-{}", set.set),
             "Densities of all windows of a set, empty ones included, with the two thresholds that part the \
              regimes: its 25th and 75th percentile.",
             chart::density_histogram(&title, &densities, thresholds(set))?,
         ));
         figures.push(Figure::chart(
+            Section::Density,
             format!("density-over-time-{}", set.set),
             "Density and regime of one window after the other, source by source in the order of the table.",
             over_time(set)?,
@@ -140,6 +148,7 @@ pub fn of_slices(sets: &[Set]) -> Result<Vec<Figure>> {
         }
         let style = FrameStyle::for_sensor(window.sensor);
         figures.push(Figure {
+            section: Section::TableOne,
             name: format!("table-one-strips-{}", set.name),
             caption: format!(
                 "{} ms out of a window of {} ({} events): the original, and for each representation at \
@@ -224,6 +233,7 @@ pub fn of_kernels(effort: bench::Effort) -> Result<Figure> {
     let title =
         "Accumulate stage: run time against error at M = 8, 16, 24, 64; windows of emulated scenes";
     Ok(Figure {
+        section: Section::TableThree,
         name: "table-three-kernels".to_owned(),
         caption: "Every kernel and its peers. Filled points are on the front of their M. Down and left is \
                   better."
