@@ -17,13 +17,17 @@ use crate::report::marks::Marks;
 use crate::report::study::figures::{self, Figure};
 use crate::report::study::{page, tables};
 use crate::study::effort::Effort;
+use crate::study::kernels;
 use crate::study::record::Record;
 use crate::study::set::Set;
-use crate::study::store::Store;
+use crate::study::store::{Row, Store};
 use crate::study::{self, Results};
 
 /// Where recordings are looked for when --data is not given.
 const RECORDINGS: &str = "../shared/data";
+
+/// Task of the kernels in the store.
+const KERNELS: &str = "kernels";
 
 /// Reproduce the paper's tables on emulated scenes and recordings, as a page with pictures
 #[derive(Debug, Args)]
@@ -97,12 +101,22 @@ impl Report {
                 path.display()
             );
         }
+        // Times of a clock, taken while nothing else runs.
+        if !store.has(KERNELS) {
+            let effort = if self.quick {
+                bench::Effort::QUICK
+            } else {
+                bench::Effort::FULL
+            };
+            let rows = kernels::measure(effort)?.into_iter();
+            store.add(KERNELS, rows.map(Row::Kernel))?;
+        }
         let progress = Progress::bar("measurements");
         let show = |done: usize, total: usize| progress.set_of(done as u64, total as u64);
         study::run(&sets, &effort, &|| self::segmenter(model), &store, &show)?;
         drop(progress);
         let results = store.results();
-        let figures = self.figures(&sets, &results)?;
+        let figures = figures(&sets, &results)?;
         let files = write(folder, &results, &figures)?;
         if let Some(path) = &self.save {
             MARKS.write(path, &tables::document(&results))?;
@@ -147,19 +161,14 @@ impl Report {
         sets.extend(set);
         Ok((sets, left_out))
     }
+}
 
-    /// Everything that the page shows beside its tables.
-    fn figures(&self, sets: &[Set], results: &Results) -> Result<Vec<Figure>> {
-        let mut figures = figures::charts(results)?;
-        figures.extend(figures::of_slices(sets)?);
-        let effort = if self.quick {
-            bench::Effort::QUICK
-        } else {
-            bench::Effort::FULL
-        };
-        figures.push(figures::of_kernels(effort)?);
-        Ok(figures)
-    }
+/// Everything that the page shows beside its tables.
+fn figures(sets: &[Set], results: &Results) -> Result<Vec<Figure>> {
+    let mut figures = figures::charts(results)?;
+    figures.extend(figures::of_slices(sets)?);
+    figures.push(figures::of_kernels(results)?);
+    Ok(figures)
 }
 
 fn segmenter(model: Option<&Path>) -> Result<Box<dyn Segmenter>> {

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Results;
 use super::density::Densities;
+use super::kernels::KernelRow;
 use super::perception::Perception;
 use super::quality::Quality;
 use super::record::Record;
@@ -34,6 +35,8 @@ pub enum Row {
     Times(Times),
     /// Densities of a set.
     Density(Densities),
+    /// Run time against error of a kernel.
+    Kernel(KernelRow),
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -165,6 +168,7 @@ impl Store {
             perception: Vec::new(),
             times: Vec::new(),
             density: Vec::new(),
+            kernels: Vec::new(),
         };
         for (_, row) in rows {
             match row.clone() {
@@ -173,6 +177,7 @@ impl Store {
                 Row::Perception(row) => results.perception.push(row),
                 Row::Times(row) => results.times.push(row),
                 Row::Density(row) => results.density.push(row),
+                Row::Kernel(row) => results.kernels.push(row),
             }
         }
         results

@@ -9,7 +9,6 @@ use super::rate_distortion::RateDistortion;
 use super::section::Section;
 use super::time_errors::TimeErrors;
 use crate::baseline::{Baseline, Stored};
-use crate::bench::{self, Origin, cut, mcu};
 use crate::reconstruct::events::Finder;
 use crate::report::chart::{self, DensityPoint, Thresholds};
 use crate::report::frame_picture::FrameStyle;
@@ -21,6 +20,7 @@ use crate::source::{Source, WINDOW_US};
 use crate::study::Results;
 use crate::study::density::Densities;
 use crate::study::effort::M;
+use crate::study::kernels::KernelRow;
 use crate::study::method::Method;
 use crate::study::perception::SLICE_US;
 use crate::study::quality;
@@ -218,18 +218,13 @@ fn dense_window(set: &Set) -> Option<(&Source, Source)> {
     Some((source, window))
 }
 
-/// Run time against error of every kernel: the host's measured now on windows of emulated scenes, the
-/// microcontroller's as saved with the project.
+/// Run time against error of every kernel.
 ///
 /// # Errors
-/// A kernel that is not within its documented error.
-pub fn of_kernels(effort: bench::Effort) -> Result<Figure> {
-    let windows = bench::windows(&cut::of_scenes()?, effort)?;
-    let mut counts = mcu::saved()?;
-    counts.retain(|count| count.origin == Origin::Emulator.name());
-    let rows = bench::measure(&windows, &counts, effort, &mut || ())?;
-    let mut rows = bench::over_windows(&rows);
-    rows.retain(|row| ["host", "cortex-m4"].contains(&row.target) && !row.is_crowded);
+/// Rows that no chart can be made of.
+pub fn of_kernels(results: &Results) -> Result<Figure> {
+    let rows = results.kernels.iter().map(KernelRow::of_bench);
+    let rows = rows.collect::<Result<Vec<_>>>()?;
     let title =
         "Accumulate stage: run time against error at M = 8, 16, 24, 64; windows of emulated scenes";
     Ok(Figure {
