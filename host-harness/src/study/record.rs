@@ -27,13 +27,26 @@ pub struct SourceRecord {
     pub sha256: String,
 }
 
+/// Rows that a build of the program has measured.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Build {
+    /// SHA-256 of the program's file.
+    pub program: String,
+    /// How many.
+    pub rows: usize,
+}
+
 /// What results depend on, and the machine and the day, which only times of a clock depend on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Of this program.
     pub version: String,
-    /// SHA-256 of the program's file: rows of another build are measured again.
+    /// SHA-256 of the file of the program that measured first: rows of another build are measured again
+    /// unless they are to be kept.
     pub program: String,
+    /// Every build that measured something; in results alone, and not in those of before it was kept.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub builds: Vec<Build>,
     /// `full` or `quick`.
     pub effort: String,
     /// Of the scenes.
@@ -67,6 +80,7 @@ impl Record {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             program: program(),
+            builds: Vec::new(),
             effort: effort.name.to_owned(),
             seed: SEED,
             window_us: WINDOW_US,
