@@ -275,7 +275,7 @@ mod tests {
             ..record.clone()
         };
         assert_eq!(count, 3);
-        assert_eq!(store.results().record, built(&[first.clone()]));
+        assert_eq!(store.results().record, built(std::slice::from_ref(&first)));
         let rebuilt = Record {
             program: "another".to_owned(),
             ..record.clone()
