@@ -6,10 +6,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use eecvs_nostd::{
-    Config, Event, Filter, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, Transform,
-    WindowConfig,
-};
+use eecvs_nostd::{Config, Event, Mode, Quantiser, Sensor, Thresholds, Transform, WindowConfig};
 use host_harness::decode::WindowReader;
 use host_harness::encode::{Limits, all_cores, encode};
 use host_harness::formats::{self, EventReader};
@@ -99,21 +96,18 @@ struct Outcome {
 
 fn windows(reader: &mut dyn EventReader, step_log2: i8) -> Vec<DecodedWindow> {
     let config = Config {
-        window: WindowConfig {
-            sensor: reader.sensor(),
-            window_us: WINDOW_US,
-        },
-        thresholds: Thresholds::new(0, 0).expect("equal thresholds"),
         transform: Some(Transform::Dtft),
         m: M,
         grid: Some(u16::from(M)),
         quantiser: Quantiser::new(step_log2).expect("in range"),
-        mode: Mode::Transform,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(
+            WindowConfig {
+                sensor: reader.sensor(),
+                window_us: WINDOW_US,
+            },
+            Thresholds::new(0, 0).expect("equal thresholds"),
+            Mode::Transform,
+        )
     };
     let mut bytes = Vec::new();
     let limits = Limits::default();

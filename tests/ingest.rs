@@ -11,8 +11,8 @@ use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Poll, Work};
 use eecvs_nostd::link_source::Link;
 use eecvs_nostd::{
-    Config, Encoder, Event, Filter, Frame, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Scratch,
-    Sensor, Thresholds, Window, WindowBuffers, WindowConfig, WindowEncoder,
+    Config, Encoder, Event, Frame, Mode, Polarity, Push, Scratch, Sensor, Thresholds, Window,
+    WindowBuffers, WindowConfig, WindowEncoder,
 };
 use proptest::prelude::*;
 
@@ -26,21 +26,15 @@ const MEMORY_WORDS: usize = 2 * (32 + 2 * 40);
 
 fn config() -> Config {
     Config {
-        window: WindowConfig {
-            sensor: SENSOR,
-            window_us: WINDOW_US,
-        },
-        thresholds: Thresholds::new(1_000_000_000_000, 50_000_000_000_000).unwrap(),
-        transform: None,
         m: 8,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode: Mode::Transform,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(
+            WindowConfig {
+                sensor: SENSOR,
+                window_us: WINDOW_US,
+            },
+            Thresholds::new(1_000_000_000_000, 50_000_000_000_000).unwrap(),
+            Mode::Transform,
+        )
     }
 }
 

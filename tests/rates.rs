@@ -7,8 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Polarity, Quantiser,
-    Thresholds, WindowConfig,
+    Coder, Config, Event, Fidelity, Hybrid, Mode, Polarity, Thresholds, WindowConfig,
 };
 use host_harness::decode::WindowReader;
 use host_harness::encode::{Limits, all_cores, encode, readout};
@@ -92,23 +91,14 @@ fn events(path: &Path) -> Vec<Event> {
 /// Frames of a recording, and their bits per event.
 fn frames(path: &Path, hybrid: Hybrid) -> (Vec<u8>, f64) {
     let reader = formats::open(path, None).expect("a recording");
-    let config = Config {
-        window: WindowConfig {
+    let config = Config::new(
+        WindowConfig {
             sensor: reader.sensor(),
             window_us: 32_768,
         },
-        thresholds: Thresholds::new(0, 0).expect("equal thresholds"),
-        transform: None,
-        m: 16,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode: Mode::Hybrid(hybrid),
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
-    };
+        Thresholds::new(0, 0).expect("equal thresholds"),
+        Mode::Hybrid(hybrid),
+    );
     let (mut reader, config) = readout::look(reader, config);
     let mut bytes = Vec::new();
     let (limits, threads) = (Limits::default(), all_cores());

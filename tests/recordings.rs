@@ -7,9 +7,7 @@ use std::collections::BTreeMap;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
-use eecvs_nostd::{
-    Config, Filter, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform, WindowConfig,
-};
+use eecvs_nostd::{Config, Mode, Thresholds, Transform, WindowConfig};
 use host_harness::calibrate::Calibration;
 use host_harness::decode::WindowReader;
 use host_harness::encode::{Limits, all_cores, encode};
@@ -35,21 +33,16 @@ fn recording(path: &str) -> Option<PathBuf> {
 fn frames(path: &Path, transform: Option<Transform>, m: u8, thresholds: Thresholds) -> Vec<u8> {
     let mut reader = formats::open(path, None).expect("a recording");
     let config = Config {
-        window: WindowConfig {
-            sensor: reader.sensor(),
-            window_us: WINDOW_US,
-        },
-        thresholds,
         transform,
         m,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode: Mode::Transform,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(
+            WindowConfig {
+                sensor: reader.sensor(),
+                window_us: WINDOW_US,
+            },
+            thresholds,
+            Mode::Transform,
+        )
     };
     let mut bytes = Vec::new();
     let summary = encode(

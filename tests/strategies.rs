@@ -3,8 +3,8 @@
 pub mod one_pixel;
 
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, KEY_WINDOWS, Mode, Polarity, Push,
-    Quantiser, Scan, Sensor, Thresholds, Transform, WindowConfig, scan,
+    Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Push, Quantiser, Scan, Sensor,
+    Thresholds, Transform, WindowConfig, scan,
 };
 use host_harness::encode::HostStorage;
 use proptest::prelude::*;
@@ -70,18 +70,15 @@ pub fn config(sensor: Sensor) -> impl Strategy<Value = Config> {
     )
         .prop_map(
             move |(window_us, transform, m, grid, step_log2, (low, more))| Config {
-                window: WindowConfig { sensor, window_us },
-                thresholds: Thresholds::new(low, low + more).expect("low is not above high"),
                 transform,
                 m,
                 grid,
                 quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
-                mode: Mode::Transform,
-                key_windows: KEY_WINDOWS,
-                readout: None,
-                filter: Filter::NONE,
-                bytes_per_second: None,
-                keep_order: false,
+                ..Config::new(
+                    WindowConfig { sensor, window_us },
+                    Thresholds::new(low, low + more).expect("low is not above high"),
+                    Mode::Transform,
+                )
             },
         )
 }
@@ -106,21 +103,16 @@ pub fn job(most: usize) -> impl Strategy<Value = (Config, Vec<Event>)> {
 #[must_use]
 pub fn plain_config(sensor: Sensor, transform: Transform, m: u8) -> Config {
     Config {
-        window: WindowConfig {
-            sensor,
-            window_us: 32_768,
-        },
-        thresholds: Thresholds::new(0, 0).expect("equal thresholds"),
         transform: Some(transform),
         m,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode: Mode::Transform,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(
+            WindowConfig {
+                sensor,
+                window_us: 32_768,
+            },
+            Thresholds::new(0, 0).expect("equal thresholds"),
+            Mode::Transform,
+        )
     }
 }
 

@@ -2,12 +2,13 @@
 
 use core::num::NonZeroU32;
 
+use crate::coder::chain::KEY_WINDOWS;
 use crate::coder::coefficients::CoefficientMemory;
 use crate::coder::dense::DenseMemory;
 use crate::coder::{Fidelity, Hybrid, Readout};
 use crate::filter::Filter;
 use crate::fixed_point::{Sum, WideSum};
-use crate::frame::Mode;
+use crate::frame::{M_DEFAULT, Mode};
 use crate::quantise::Quantiser;
 use crate::rate::WINDOW_BYTES_MIN;
 use crate::regime::Thresholds;
@@ -96,6 +97,26 @@ pub enum HotError {
 }
 
 impl Config {
+    /// The defaults of everything else: the regime's transform, M = 16, K and quantiser by default, key
+    /// frames as files have them, nothing kept out, no budget, no order of equal times.
+    #[must_use]
+    pub const fn new(window: WindowConfig, thresholds: Thresholds, mode: Mode) -> Self {
+        Self {
+            window,
+            thresholds,
+            transform: None,
+            m: M_DEFAULT,
+            grid: None,
+            quantiser: Quantiser::DEFAULT,
+            mode,
+            key_windows: KEY_WINDOWS,
+            readout: None,
+            filter: Filter::NONE,
+            bytes_per_second: None,
+            keep_order: false,
+        }
+    }
+
     /// Whether it can run with the memory.
     pub(crate) const fn check(&self, scratch: &Scratch<'_>) -> Result<(), ConfigError> {
         if self.m == 0 || self.m as usize > M_MAX {

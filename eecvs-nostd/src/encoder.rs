@@ -14,20 +14,9 @@ use crate::window_encoder::{Encoded, WindowEncoder};
 /// # use eecvs_nostd::*;
 /// let mut storage: Storage<64, { segments(8, 4) }, { bitmap_words(segments(8, 4)) }, 128> =
 ///     Storage::new();
-/// let config = Config {
-///     window: WindowConfig { sensor: Sensor::new(8, 4).unwrap(), window_us: 1000 },
-///     thresholds: Thresholds::new(0, 0).unwrap(),
-///     transform: None,
-///     m: 8,
-///     grid: None,
-///     quantiser: Quantiser::DEFAULT,
-///     mode: Mode::Hybrid(Hybrid::default()),
-///     key_windows: KEY_WINDOWS,
-///     readout: None,
-///     filter: Filter::NONE,
-///     bytes_per_second: None,
-///     keep_order: false,
-/// };
+/// let window = WindowConfig { sensor: Sensor::new(8, 4).unwrap(), window_us: 1000 };
+/// let thresholds = Thresholds::new(0, 0).unwrap();
+/// let config = Config::new(window, thresholds, Mode::Hybrid(Hybrid::default()));
 /// let mut encoder = storage.encoder(config).unwrap();
 /// let mut out = [0; 2048];
 /// let mut frames = 0;

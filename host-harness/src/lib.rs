@@ -21,6 +21,7 @@ pub mod output_file;
 pub mod progress;
 pub mod reconstruct;
 pub mod recording_info;
+pub mod recordings;
 pub mod reference;
 pub mod report;
 pub mod round_trip;

@@ -3,9 +3,7 @@
 use std::num::NonZeroUsize;
 
 use anyhow::{Result, ensure};
-use eecvs_nostd::{
-    Config, Event, Filter, KEY_WINDOWS, Mode, Quantiser, Thresholds, Transform, WindowConfig,
-};
+use eecvs_nostd::{Config, Event, Mode, Thresholds, Transform, WindowConfig};
 
 use crate::decode::WindowReader;
 use crate::encode::{Limits, encode, readout};
@@ -24,21 +22,16 @@ pub fn config(
     m: u8,
 ) -> Config {
     Config {
-        window: WindowConfig {
-            sensor: source.sensor,
-            window_us: WINDOW_US,
-        },
-        thresholds,
         transform,
         m,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(
+            WindowConfig {
+                sensor: source.sensor,
+                window_us: WINDOW_US,
+            },
+            thresholds,
+            mode,
+        )
     }
 }
 

@@ -1,24 +1,15 @@
-//! Recordings, whole and in memory, that studies are made of: files of some folders, or emulated scenes.
+//! Recordings, whole and in memory, that studies are made of: read from files, or emulated scenes.
 
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::{Event, Sensor};
 
-use crate::formats::{self, BATCH_EVENTS, EventReader, Skipped};
+use crate::formats::{BATCH_EVENTS, EventReader, Skipped};
 use crate::scene::{self, Preset, SceneConfig};
 
 /// T of every study, in us.
 pub const WINDOW_US: u32 = 32_768;
-
-/// Endings that a folder is searched for: what sensors write. Arrays and text in it are most often the
-/// same events once more.
-const ENDINGS: [&str; 4] = ["aedat4", "aedat", "raw", "evt2"];
-
-/// Endings that count where a folder has none of [`ENDINGS`]: MVSEC and its like are published so. Beside
-/// a sensor's own files they are most often the same events once more.
-const ARCHIVES: [&str; 2] = ["h5", "hdf5"];
 
 /// In their place where no recording is there: name, scene.
 const SCENES: [(&str, Preset); 3] = [
@@ -100,82 +91,6 @@ pub fn scenes(duration_us: u64) -> Result<Vec<Source>> {
         .collect()
 }
 
-/// The recordings of some paths, sorted by their paths; a folder stands for the recordings in it and
-/// in its folders, without those below, and for its HDF5 files if there are no other recordings.
-///
-/// # Errors
-/// A folder that cannot be listed.
-pub fn files(paths: &[PathBuf]) -> Result<Vec<(String, PathBuf)>> {
-    let mut found = Vec::new();
-    for path in paths {
-        if !path.is_dir() {
-            found.push((stem(path), path.clone()));
-            continue;
-        }
-        let sensors = recordings_in(path, &ENDINGS)?;
-        found.extend(if sensors.is_empty() {
-            recordings_in(path, &ARCHIVES)?
-        } else {
-            sensors
-        });
-    }
-    Ok(found)
-}
-
-/// The files of some endings in a folder and in its folders.
-fn recordings_in(path: &Path, endings: &[&str]) -> Result<Vec<(String, PathBuf)>> {
-    let mut found = Vec::new();
-    for entry in entries(path)? {
-        if !entry.is_dir() {
-            found.extend(has_ending(&entry, endings).then(|| (stem(&entry), entry)));
-            continue;
-        }
-        let mut inside = entries(&entry)?;
-        inside.retain(|file| !file.is_dir() && has_ending(file, endings));
-        let folder = entry.file_name().unwrap_or_default().to_string_lossy();
-        let is_alone = inside.len() == 1;
-        found.extend(inside.into_iter().map(|file| {
-            let name = if is_alone {
-                folder.to_string()
-            } else {
-                format!("{folder}/{}", stem(&file))
-            };
-            (name, file)
-        }));
-    }
-    Ok(found)
-}
-
-/// Reads one of [`files`].
-///
-/// # Errors
-/// As [`Source::new`]; the message names the file.
-pub fn recording(name: &str, path: &Path) -> Result<Source> {
-    let mut reader = formats::open(path, None)?;
-    Source::new(name, reader.as_mut()).with_context(|| path.display().to_string())
-}
-
-fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
-    let listed = || -> std::io::Result<Vec<PathBuf>> {
-        let mut entries: Vec<_> = std::fs::read_dir(folder)?
-            .map(|entry| entry.map(|entry| entry.path()))
-            .collect::<Result<_, _>>()?;
-        entries.sort();
-        Ok(entries)
-    };
-    listed().with_context(|| format!("{}: cannot be listed", folder.display()))
-}
-
-fn has_ending(path: &Path, endings: &[&str]) -> bool {
-    let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
-    endings.iter().any(|known| ending == *known)
-}
-
-fn stem(path: &Path) -> String {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    name.split('.').next().unwrap_or_default().to_owned()
-}
-
 /// Events in memory as a recording.
 pub struct Memory {
     sensor: Sensor,
@@ -222,50 +137,6 @@ impl EventReader for Memory {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn folders_are_searched_two_levels_deep() {
-        let folder = tempfile::tempdir().unwrap();
-        let at = |name: &str| folder.path().join(name);
-        for name in ["one", "two", "one/deeper"] {
-            std::fs::create_dir(at(name)).unwrap();
-        }
-        for name in [
-            "b.aedat4",
-            "one/x.raw",
-            "one/README.md",
-            "one/deeper/y.raw",
-            "two/p.aedat",
-            "two/q.evt2.raw",
-            "two/q.h5",
-            "notes.txt",
-        ] {
-            std::fs::write(at(name), "").unwrap();
-        }
-        let found = files(&[folder.path().to_owned(), at("notes.txt")]).unwrap();
-        let names: Vec<&str> = found.iter().map(|(name, _)| name.as_str()).collect();
-        assert_eq!(names, ["b", "one", "two/p", "two/q", "notes"]);
-        assert_eq!(found[1].1, at("one/x.raw"));
-    }
-
-    #[test]
-    fn hdf5_files_count_where_nothing_else_is() {
-        let folder = tempfile::tempdir().unwrap();
-        let at = |name: &str| folder.path().join(name);
-        std::fs::create_dir(at("mvsec")).unwrap();
-        for name in ["mvsec/a_data.hdf5", "mvsec/b_data.hdf5", "c.h5", "d.npz"] {
-            std::fs::write(at(name), "").unwrap();
-        }
-        let names = || {
-            let found = files(&[folder.path().to_owned()]).unwrap();
-            found.into_iter().map(|(name, _)| name).collect::<Vec<_>>()
-        };
-        assert_eq!(names(), ["c", "mvsec/a_data", "mvsec/b_data"]);
-        std::fs::write(at("camera.raw"), "").unwrap();
-        assert_eq!(names(), ["camera"]);
-        let named = files(&[at("c.h5")]).unwrap();
-        assert_eq!(named, [("c".to_owned(), at("c.h5"))]);
-    }
 
     #[test]
     fn a_source_reads_back_in_order_of_time() {

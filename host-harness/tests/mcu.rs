@@ -17,8 +17,8 @@ use anyhow::Result;
 use cli_support::{Folder, count, number, text};
 use eecvs_nostd::event_link::{Kind, Setup, Status};
 use eecvs_nostd::{
-    Axis, Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, KEY_WINDOWS, Mode, Quantiser,
-    Readout, Sensor, Thresholds, Transform, WindowConfig,
+    Axis, Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Quantiser, Readout, Sensor,
+    Thresholds, Transform, WindowConfig,
 };
 use host_harness::encode::{Limits, encode as host_encode};
 use host_harness::formats::EventReader;
@@ -42,21 +42,15 @@ const SCENE: SceneConfig = SceneConfig {
 
 fn config() -> Config {
     Config {
-        window: WindowConfig {
-            sensor: SCENE.sensor,
-            window_us: 16_384,
-        },
-        thresholds: Thresholds::new(2_000_000_000_000, 20_000_000_000_000).expect("in order"),
-        transform: None,
         m: 8,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode: Mode::Transform,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(
+            WindowConfig {
+                sensor: SCENE.sensor,
+                window_us: 16_384,
+            },
+            Thresholds::new(2_000_000_000_000, 20_000_000_000_000).expect("in order"),
+            Mode::Transform,
+        )
     }
 }
 

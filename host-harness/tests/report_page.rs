@@ -13,6 +13,7 @@ use host_harness::report::study::figures::{self, Figure};
 use host_harness::report::study::{page, tables};
 use host_harness::source::Source;
 use host_harness::study::effort::Effort;
+use host_harness::study::kernels;
 use host_harness::study::record::Record;
 use host_harness::study::set::{RECORDINGS, Set};
 use host_harness::study::store::Store;
@@ -60,12 +61,13 @@ fn sets() -> [Set; 2] {
 fn study() -> (Results, Vec<Figure>) {
     let folder = tempfile::tempdir().unwrap();
     let sets = sets();
-    let record = Record::new(&sets, &EFFORT, "built-in");
+    let record = Record::new(&sets, &[], &EFFORT, "built-in");
     let (store, _) = Store::open(&folder.path().join("rows.jsonl"), record, true).unwrap();
+    kernels::add_to(&store, bench::Effort::QUICK).unwrap();
     let segmenter = || Ok(Box::new(Classical) as Box<dyn Segmenter>);
     study::run(&sets, &EFFORT, &segmenter, &store, &|_, _| ()).unwrap();
     let results = store.results();
-    let figures = figures::all(&sets, &results, bench::Effort::QUICK).unwrap();
+    let figures = figures::all(&sets, &results).unwrap();
     (results, figures)
 }
 

@@ -7,8 +7,8 @@ use anyhow::{Context, bail, ensure};
 use eecvs_nostd::coder::dense::words;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{
-    Coder, Config, Encoder, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Push, Quantiser, Sensor,
-    Thresholds, Transform, WindowConfig,
+    Coder, Config, Encoder, Fidelity, Hybrid, Mode, Push, Sensor, Thresholds, Transform,
+    WindowConfig,
 };
 use host_harness::bench::cut::EVENTS;
 use host_harness::encode::HostStorage;
@@ -55,21 +55,16 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
     };
     let mut storage = HostStorage::new(sensor, EVENTS).with_dense_words(DENSE_WORDS);
     let mut encoder = storage.encoder(Config {
-        window: WindowConfig {
-            sensor,
-            window_us: *window_us,
-        },
-        thresholds: Thresholds::new(0, 0).context("zero is a threshold")?,
         transform: Some(transform.context("an unknown transform")?),
         m: run.m.max(8),
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(
+            WindowConfig {
+                sensor,
+                window_us: *window_us,
+            },
+            Thresholds::new(0, 0).context("zero is a threshold")?,
+            mode,
+        )
     })?;
     let mut output = Output::default();
     let mut decoder = Evt2Decoder::new(0);

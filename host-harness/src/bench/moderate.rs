@@ -4,8 +4,7 @@
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::{
-    Config, Encoder, Event, Filter, KEY_WINDOWS, Mode, Push, Quantiser, Sensor, Thresholds,
-    Transform, WindowConfig,
+    Config, Encoder, Event, Mode, Push, Sensor, Thresholds, Transform, WindowConfig,
 };
 
 use crate::formats::EventReader;
@@ -55,22 +54,17 @@ pub fn window(scene: &[Event]) -> Result<&[Event]> {
 #[must_use]
 pub const fn config(transform: Transform, m: u8) -> Config {
     Config {
-        window: WindowConfig {
-            sensor: SENSOR,
-            window_us: WINDOW_US,
-        },
-        // Unused, since the transform is given.
-        thresholds: Thresholds::new(0, 0).unwrap(),
         transform: Some(transform),
         m,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode: Mode::Transform,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(
+            WindowConfig {
+                sensor: SENSOR,
+                window_us: WINDOW_US,
+            },
+            // Unused, since the transform is given.
+            Thresholds::new(0, 0).unwrap(),
+            Mode::Transform,
+        )
     }
 }
 

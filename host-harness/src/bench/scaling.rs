@@ -4,10 +4,7 @@ use std::io::sink;
 use std::num::NonZeroUsize;
 
 use anyhow::{Result, ensure};
-use eecvs_nostd::{
-    Config, Event, Filter, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, Transform,
-    WindowConfig,
-};
+use eecvs_nostd::{Config, Event, Mode, Sensor, Thresholds, Transform, WindowConfig};
 use serde::Serialize;
 
 use super::quartiles;
@@ -157,21 +154,16 @@ fn run(
     advance: &mut dyn FnMut(u64),
 ) -> Result<Row> {
     let config = Config {
-        window: WindowConfig {
-            sensor,
-            window_us: WINDOW_US,
-        },
-        thresholds: THRESHOLDS,
         transform: Some(Transform::Dct),
         m: PARAMETER_M,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode: Mode::Transform,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(
+            WindowConfig {
+                sensor,
+                window_us: WINDOW_US,
+            },
+            THRESHOLDS,
+            Mode::Transform,
+        )
     };
     let limits = Limits {
         window_events: WINDOW_EVENTS,

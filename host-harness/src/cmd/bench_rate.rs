@@ -8,6 +8,7 @@ use anyhow::{Context, Result, ensure};
 use super::output::{print, print_json};
 use crate::bench::rate::{Effort, Row, lossless, measure};
 use crate::progress::Progress;
+use crate::recordings;
 use crate::report::{rate_chart, rate_table};
 use crate::source::{self, Source};
 
@@ -81,7 +82,7 @@ impl Rate<'_> {
             }
         }
         for (name, path) in &files {
-            add(&source::recording(name, path)?)?;
+            add(&recordings::recording(name, path)?)?;
         }
         Ok(rows)
     }
@@ -93,13 +94,13 @@ impl Rate<'_> {
             if !folder.is_dir() {
                 return Ok(Vec::new());
             }
-            return source::files(&[folder.to_owned()]);
+            return distinct(&[folder.to_owned()]);
         }
         for path in self.data {
             let name = path.display();
             ensure!(path.exists(), "{name}: no such recording or folder");
         }
-        let files = source::files(self.data)?;
+        let files = distinct(self.data)?;
         ensure!(
             !files.is_empty(),
             "{}: no recording in it; leave --data out to take emulated scenes",
@@ -116,4 +117,16 @@ impl Rate<'_> {
         rate_chart::picture(title, rows)?.save(png)?;
         Ok(files)
     }
+}
+
+/// Names and files of the recordings of some paths; what is left out is said.
+fn distinct(paths: &[PathBuf]) -> Result<Vec<(String, PathBuf)>> {
+    let progress = Progress::new("recordings read");
+    let found = recordings::read(paths, &|read| progress.set(read as u64), &mut |_| ())?;
+    drop(progress);
+    if let Some(notice) = recordings::notice(&found.left_out) {
+        eprintln!("eecvs: {notice}");
+    }
+    let taken = found.taken.into_iter();
+    Ok(taken.map(|taken| (taken.name, taken.path)).collect())
 }

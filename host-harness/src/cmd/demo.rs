@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Quantiser, Regime, Sensor,
-    Thresholds, Transform, WindowConfig,
+    Coder, Config, Event, Fidelity, Hybrid, Mode, Quantiser, Regime, Sensor, Thresholds, Transform,
+    WindowConfig,
 };
 
 use super::monitor::{chart_thresholds, points};
@@ -193,21 +193,16 @@ impl Run {
         let file = File::create(&frames).with_context(|| format!("{}", frames.display()))?;
         let mut out = BufWriter::new(file);
         let config = Config {
-            window: WindowConfig {
-                sensor: self.sensor,
-                window_us: WINDOW_US.get(),
-            },
-            thresholds: self.thresholds,
             transform,
             m: M,
-            grid: None,
-            quantiser: Quantiser::DEFAULT,
-            mode,
-            key_windows: KEY_WINDOWS,
-            readout: None,
-            filter: Filter::NONE,
-            bytes_per_second: None,
-            keep_order: false,
+            ..Config::new(
+                WindowConfig {
+                    sensor: self.sensor,
+                    window_us: WINDOW_US.get(),
+                },
+                self.thresholds,
+                mode,
+            )
         };
         let mut reader = formats::open(&self.scene, None)?;
         let progress = Progress::new("events");

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use clap::Args;
 use serde::Serialize;
 
@@ -12,10 +12,12 @@ use crate::bench;
 use crate::downstream::segment::classical::Classical;
 use crate::downstream::segment::{Segmenter, open_model};
 use crate::progress::Progress;
+use crate::recordings::{self, LeftOut};
 use crate::report::marks::Marks;
 use crate::report::study::figures::{self, Figure};
 use crate::report::study::{page, tables};
 use crate::study::effort::Effort;
+use crate::study::kernels;
 use crate::study::record::Record;
 use crate::study::set::Set;
 use crate::study::store::Store;
@@ -32,9 +34,10 @@ pub struct Report {
     #[arg(short, long, value_name = "DIR", default_value = "eecvs-report")]
     output: PathBuf,
 
-    /// Folder of recordings, two levels deep [default: ../shared/data where it is, else none]
-    #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
+    /// Recordings, and folders of them, searched two levels deep; of files with the same events one is
+    /// taken [default: ../shared/data where it is, else none]
+    #[arg(long, value_name = "PATH", num_args = 1..)]
+    data: Vec<PathBuf>,
 
     /// Three windows of each emulated scene, and no recordings but those of --data
     #[arg(long)]
@@ -74,19 +77,19 @@ impl Report {
         let folder = &self.output;
         fs::create_dir_all(folder)
             .with_context(|| format!("{}: cannot create the folder", folder.display()))?;
-        let (effort, kernels) = if self.quick {
-            (Effort::QUICK, bench::Effort::QUICK)
+        let effort = if self.quick {
+            Effort::QUICK
         } else {
-            (Effort::FULL, bench::Effort::FULL)
+            Effort::FULL
         };
         let model = self.segmenter.as_deref();
         // A model that cannot be run is told before anything takes long.
         let segmenter = segmenter(model)?.name().to_owned();
-        let sets = self.sets(&effort)?;
+        let (sets, left_out) = self.sets(&effort)?;
         let path = folder.join("rows.jsonl");
         let (store, known) = Store::open(
             &path,
-            Record::new(&sets, &effort, &segmenter),
+            Record::new(&sets, &left_out, &effort, &segmenter),
             !self.keep_rows,
         )?;
         if known > 0 {
@@ -95,12 +98,20 @@ impl Report {
                 path.display()
             );
         }
+        kernels::add_to(
+            &store,
+            if self.quick {
+                bench::Effort::QUICK
+            } else {
+                bench::Effort::FULL
+            },
+        )?;
         let progress = Progress::bar("measurements");
         let show = |done: usize, total: usize| progress.set_of(done as u64, total as u64);
         study::run(&sets, &effort, &|| self::segmenter(model), &store, &show)?;
         drop(progress);
         let results = store.results();
-        let figures = figures::all(&sets, &results, kernels)?;
+        let figures = figures::all(&sets, &results)?;
         let files = write(folder, &results, &figures)?;
         if let Some(path) = &self.save {
             MARKS.write(path, &tables::document(&results))?;
@@ -114,35 +125,40 @@ impl Report {
         ))
     }
 
-    fn sets(&self, effort: &Effort) -> Result<Vec<Set>> {
+    /// The scenes and the recordings, and which files are not among these.
+    fn sets(&self, effort: &Effort) -> Result<(Vec<Set>, Vec<LeftOut>)> {
         let mut sets = vec![Set::scenes(effort)?];
-        let folder = match &self.data {
-            Some(folder) => {
-                ensure!(
-                    folder.is_dir(),
-                    "{}: no folder; --data wants one of recordings",
-                    folder.display()
-                );
-                Some(folder.as_path())
-            }
-            None => Some(Path::new(RECORDINGS)).filter(|folder| !self.quick && folder.is_dir()),
+        let default = PathBuf::from(RECORDINGS);
+        let paths = if self.data.is_empty() && !self.quick && default.is_dir() {
+            vec![default]
+        } else {
+            self.data.clone()
         };
-        if let Some(folder) = folder {
-            let progress = Progress::new("recordings read");
-            let set = Set::recordings(folder, effort, &|read| progress.set(read as u64))?;
-            drop(progress);
-            if set.is_none() {
-                eprintln!(
-                    "eecvs: {}: no recordings in it; docs/datasets.md says where there are some",
-                    folder.display()
-                );
-            }
-            sets.extend(set);
+        if paths.is_empty() {
+            return Ok((sets, Vec::new()));
         }
-        Ok(sets)
+        let progress = Progress::new("recordings read");
+        let (set, left_out) = Set::recordings(&paths, effort, &|read| progress.set(read as u64))?;
+        drop(progress);
+        if let Some(notice) = recordings::notice(&left_out) {
+            eprintln!("eecvs: {notice}");
+        }
+        if set.is_none() {
+            let paths: Vec<String> = paths
+                .iter()
+                .map(|path| path.display().to_string())
+                .collect();
+            eprintln!(
+                "eecvs: {}: no recordings; docs/datasets.md says where there are some",
+                paths.join(", ")
+            );
+        }
+        sets.extend(set);
+        Ok((sets, left_out))
     }
 }
 
+/// Everything that the page shows beside its tables.
 fn segmenter(model: Option<&Path>) -> Result<Box<dyn Segmenter>> {
     match model {
         Some(path) => open_model(path),

@@ -239,9 +239,7 @@ mod tests {
     use crate::encode::{Limits, all_cores, encode};
     use crate::scene::{Preset, SceneConfig, emulate};
     use eecvs_nostd::evt2::{Evt2Decoder, Word};
-    use eecvs_nostd::{
-        Config, Filter, KEY_WINDOWS, Mode, Quantiser, Sensor, Thresholds, WindowConfig,
-    };
+    use eecvs_nostd::{Config, Mode, Sensor, Thresholds, WindowConfig};
     use proptest::prelude::*;
     use std::sync::LazyLock;
 
@@ -258,21 +256,15 @@ mod tests {
 
     static FRAMES: LazyLock<Vec<Message>> = LazyLock::new(|| {
         let config = Config {
-            window: WindowConfig {
-                sensor: SCENE.sensor,
-                window_us: 10_000,
-            },
-            thresholds: Thresholds::new(0, 0).unwrap(),
-            transform: None,
             m: 4,
-            grid: None,
-            quantiser: Quantiser::DEFAULT,
-            mode: Mode::Transform,
-            key_windows: KEY_WINDOWS,
-            readout: None,
-            filter: Filter::NONE,
-            bytes_per_second: None,
-            keep_order: false,
+            ..Config::new(
+                WindowConfig {
+                    sensor: SCENE.sensor,
+                    window_us: 10_000,
+                },
+                Thresholds::new(0, 0).unwrap(),
+                Mode::Transform,
+            )
         };
         let mut bytes = Vec::new();
         let mut scene = emulate(SCENE).unwrap();

@@ -8,7 +8,7 @@ use eecvs_nostd::coder::fast::Fast;
 use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::coder::range::RangeDecoder;
 use eecvs_nostd::{Coder, Config, Event, Frame, Header, Hybrid, Mode, Polarity, Push, Sensor};
-use eecvs_nostd::{Filter, Thresholds, Times, WindowConfig};
+use eecvs_nostd::{Thresholds, Times, WindowConfig};
 
 use super::{DecodedWindow, Pixel, pixels};
 use crate::encode::HostStorage;
@@ -282,21 +282,19 @@ impl DecodedWindow {
         }
         let header = &self.header;
         let config = Config {
-            window: WindowConfig {
-                sensor: header.sensor,
-                window_us: header.duration_us,
-            },
-            thresholds: Thresholds::new(0, 0).context("thresholds of 0")?,
             transform: Some(header.transform),
             m: header.m,
             grid: Some(header.grid),
             quantiser: header.quantiser,
-            mode: Mode::Transform,
             key_windows: 1,
-            readout: None,
-            filter: Filter::NONE,
-            bytes_per_second: None,
-            keep_order: false,
+            ..Config::new(
+                WindowConfig {
+                    sensor: header.sensor,
+                    window_us: header.duration_us,
+                },
+                Thresholds::new(0, 0).context("thresholds of 0")?,
+                Mode::Transform,
+            )
         };
         let mut storage = HostStorage::new(header.sensor, self.events.len().max(1));
         let mut encoder = storage.encoder(config)?;

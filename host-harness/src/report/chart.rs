@@ -5,8 +5,12 @@
 //! densities and thresholds above 0 span a factor of 30 or more; a density of 0 is then drawn
 //! at the foot of the axis.
 
+use std::ops::Range;
+
 use anyhow::{Result, ensure};
+use plotters::chart::MeshStyle;
 use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 use super::kernel_chart::Drawn;
@@ -206,21 +210,8 @@ impl Chart for OverTime<'_> {
             span: (first, last),
         } = self;
         let (axis, thresholds, first, last) = (*axis, *thresholds, *first, *last);
-        area.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(area)
-            .caption(*title, text_style(18 * scale))
-            .margin(14 * scale)
-            .margin_right(110 * scale)
-            .x_label_area_size(44 * scale)
-            .y_label_area_size(64 * scale)
-            .build_cartesian_2d(first..last, axis.from..axis.to)?;
-        chart
-            .configure_mesh()
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(GRID)
-            .axis_style(LINE)
-            .label_style(text_style(12 * scale))
-            .axis_desc_style(text_style(13 * scale))
+        let mut chart = framed(area, title, [first..last, axis.from..axis.to], scale)?;
+        mesh(&mut chart, scale)
             .x_desc("time (s)")
             .y_desc("events per pixel per second")
             .y_label_formatter(&|v| axis.label(*v))
@@ -324,22 +315,9 @@ impl Chart for Histogram<'_> {
         } = self;
         let (axis, thresholds, highest) = (*axis, *thresholds, *highest);
         let bin_width = (axis.to - axis.from) / BINS as f64;
-        area.fill(&WHITE)?;
-        let mut chart = ChartBuilder::on(area)
-            .caption(*title, text_style(18 * scale))
-            .margin(14 * scale)
-            .margin_right(110 * scale)
-            .x_label_area_size(44 * scale)
-            .y_label_area_size(64 * scale)
-            .build_cartesian_2d(axis.from..axis.to, 0.0..highest)?;
-        chart
-            .configure_mesh()
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(GRID)
-            .axis_style(LINE)
+        let mut chart = framed(area, title, [axis.from..axis.to, 0.0..highest], scale)?;
+        mesh(&mut chart, scale)
             .disable_x_mesh()
-            .label_style(text_style(12 * scale))
-            .axis_desc_style(text_style(13 * scale))
             .x_desc("events per pixel per second")
             .y_desc("windows")
             .x_label_formatter(&|v| axis.label(*v))
@@ -443,6 +421,43 @@ fn merged(windows: &[DensityPoint]) -> Vec<DensityPoint> {
 
 fn text_style(size: i32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&INK)
+}
+
+/// A chart of numbers on an area.
+type Axes<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// The two spans below a title, with room for labels at the left, below and at the right.
+fn framed<'a, B: DrawingBackend>(
+    area: &'a DrawingArea<B, Shift>,
+    title: &str,
+    [across, up]: [Range<f64>; 2],
+    scale: i32,
+) -> std::result::Result<Axes<'a, B>, DrawingAreaErrorKind<B::ErrorType>>
+where
+    B::ErrorType: 'static,
+{
+    area.fill(&WHITE)?;
+    ChartBuilder::on(area)
+        .caption(title, text_style(18 * scale))
+        .margin(14 * scale)
+        .margin_right(110 * scale)
+        .x_label_area_size(44 * scale)
+        .y_label_area_size(64 * scale)
+        .build_cartesian_2d(across, up)
+}
+
+/// The lines and labels that every chart has.
+fn mesh<'a, 'c, B: DrawingBackend>(
+    chart: &'c mut Axes<'a, B>,
+    scale: i32,
+) -> MeshStyle<'a, 'c, RangedCoordf64, RangedCoordf64, B> {
+    let mut mesh = chart.configure_mesh();
+    mesh.light_line_style(TRANSPARENT)
+        .bold_line_style(GRID)
+        .axis_style(LINE)
+        .label_style(text_style(12 * scale))
+        .axis_desc_style(text_style(13 * scale));
+    mesh
 }
 
 /// Names of the regimes, in their colours, at the right border.

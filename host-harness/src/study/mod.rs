@@ -15,6 +15,7 @@
 pub mod claims;
 pub mod density;
 pub mod effort;
+pub mod kernels;
 pub mod method;
 pub mod paper;
 pub mod perception;
@@ -37,6 +38,7 @@ use crate::downstream::segment::Segmenter;
 use crate::source::Source;
 use density::Densities;
 use effort::Effort;
+use kernels::KernelRow;
 use method::Method;
 use perception::{Perception, Reference};
 use quality::Quality;
@@ -61,6 +63,9 @@ pub struct Results {
     pub times: Vec<Times>,
     /// Densities of the sets' windows.
     pub density: Vec<Densities>,
+    /// Run time against error of kernels; results of before they were kept have none.
+    #[serde(default)]
+    pub kernels: Vec<KernelRow>,
 }
 
 /// Makes the segmenter of a thread.

@@ -7,6 +7,7 @@ use sha2::{Digest, Sha256};
 
 use super::effort::Effort;
 use super::set::{SEED, Set};
+use crate::recordings::LeftOut;
 use crate::source::{Source, WINDOW_US};
 
 /// A source, so that another one of its name is told from it.
@@ -26,13 +27,26 @@ pub struct SourceRecord {
     pub sha256: String,
 }
 
+/// Rows that a build of the program has measured.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Build {
+    /// SHA-256 of the program's file.
+    pub program: String,
+    /// How many.
+    pub rows: usize,
+}
+
 /// What results depend on, and the machine and the day, which only times of a clock depend on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// Of this program.
     pub version: String,
-    /// SHA-256 of the program's file: rows of another build are measured again.
+    /// SHA-256 of the file of the program that measured first: rows of another build are measured again
+    /// unless they are to be kept.
     pub program: String,
+    /// Every build that measured something; in results alone, and not in those of before it was kept.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub builds: Vec<Build>,
     /// `full` or `quick`.
     pub effort: String,
     /// Of the scenes.
@@ -41,6 +55,9 @@ pub struct Record {
     pub window_us: u32,
     /// Every one.
     pub sources: Vec<SourceRecord>,
+    /// Files that were found and are not among them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<LeftOut>,
     /// The model of `--segmenter`, or the one that is built in.
     pub segmenter: String,
     /// Processor and its threads.
@@ -52,7 +69,7 @@ pub struct Record {
 impl Record {
     /// Of a study that begins now.
     #[must_use]
-    pub fn new(sets: &[Set], effort: &Effort, segmenter: &str) -> Self {
+    pub fn new(sets: &[Set], left_out: &[LeftOut], effort: &Effort, segmenter: &str) -> Self {
         let of_set = |set: &Set| {
             let name = set.name;
             set.sources
@@ -63,18 +80,20 @@ impl Record {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             program: program(),
+            builds: Vec::new(),
             effort: effort.name.to_owned(),
             seed: SEED,
             window_us: WINDOW_US,
             sources: sets.iter().flat_map(of_set).collect(),
+            left_out: left_out.to_vec(),
             segmenter: segmenter.to_owned(),
             machine: machine(),
             date: date(),
         }
     }
 
-    /// Whether rows of one study are rows of the other: all but machine and day agree, and, if asked, the
-    /// program.
+    /// Whether rows of one study are rows of the other: all but machine, day and what is left out
+    /// agree, and, if asked, the program.
     #[must_use]
     pub fn is_same_study(&self, other: &Self, same_program: bool) -> bool {
         let program = if same_program { other } else { self };
@@ -82,6 +101,7 @@ impl Record {
             program: program.program.clone(),
             machine: self.machine.clone(),
             date: self.date.clone(),
+            left_out: self.left_out.clone(),
             ..other.clone()
         };
         *self == alike

@@ -1,7 +1,7 @@
 //! The sets of sources that a study is made on, each calibrated by itself.
 
 use std::num::NonZeroU32;
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
@@ -9,8 +9,9 @@ use eecvs_nostd::Thresholds;
 
 use super::effort::Effort;
 use crate::calibrate::Calibration;
+use crate::recordings::{self, LeftOut};
 use crate::scene::PRESETS;
-use crate::source::{self, Source, WINDOW_US};
+use crate::source::{Source, WINDOW_US};
 use crate::thresholds_file::ThresholdsFile;
 
 /// Seed of every scene.
@@ -44,25 +45,30 @@ impl Set {
         Self::new(SCENES, sources.collect::<Result<_>>()?)
     }
 
-    /// The start of every recording in a folder, `None` where there is none; `progress` is told how
-    /// many have been read.
+    /// The start of every recording of some files and folders, `None` where there is none, and what is
+    /// left out of it; `progress` is told how many have been read.
     ///
     /// # Errors
-    /// A folder that cannot be listed, or a recording that cannot be read; the message names it.
+    /// As [`recordings::read`].
     pub fn recordings(
-        folder: &Path,
+        paths: &[PathBuf],
         effort: &Effort,
         progress: &dyn Fn(usize),
-    ) -> Result<Option<Self>> {
-        let mut sources = Vec::new();
-        for (i, (name, path)) in source::files(&[folder.to_owned()])?.iter().enumerate() {
-            progress(i);
-            sources.push(start(source::recording(name, path)?, effort.events_max));
-        }
-        if sources.is_empty() {
-            return Ok(None);
-        }
-        Self::new(RECORDINGS, sources).map(Some)
+    ) -> Result<(Option<Self>, Vec<LeftOut>)> {
+        let found = recordings::read(paths, progress, &mut |source| {
+            start(source, effort.events_max)
+        })?;
+        let taken = found.taken.into_iter().map(|taken| Source {
+            name: taken.name,
+            ..taken.kept
+        });
+        let sources: Vec<Source> = taken.collect();
+        let set = if sources.is_empty() {
+            None
+        } else {
+            Some(Self::new(RECORDINGS, sources)?)
+        };
+        Ok((set, found.left_out))
     }
 
     fn new(name: &'static str, sources: Vec<Source>) -> Result<Self> {

@@ -3,7 +3,7 @@
 //! `rows.jsonl`: a line of what is measured ([`Record`]), then a line for each finished task with its
 //! rows. A line that was not finished, as the last one of a study that was killed, is measured again.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -14,9 +14,10 @@ use serde::{Deserialize, Serialize};
 
 use super::Results;
 use super::density::Densities;
+use super::kernels::KernelRow;
 use super::perception::Perception;
 use super::quality::Quality;
-use super::record::Record;
+use super::record::{Build, Record};
 use super::speed::Speed;
 use super::times::Times;
 
@@ -34,11 +35,16 @@ pub enum Row {
     Times(Times),
     /// Densities of a set.
     Density(Densities),
+    /// Run time against error of a kernel.
+    Kernel(KernelRow),
 }
 
 #[derive(Debug, Serialize, Deserialize)]
 struct Finished {
     task: String,
+    /// SHA-256 of the program that measured it; `None` where that is the record's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    program: Option<String>,
     rows: Vec<Row>,
 }
 
@@ -47,6 +53,8 @@ struct Finished {
 pub struct Store {
     path: PathBuf,
     record: Record,
+    /// SHA-256 of this program, where the record's is another one.
+    program: Option<String>,
     inside: Mutex<Inside>,
 }
 
@@ -55,6 +63,25 @@ struct Inside {
     file: File,
     tasks: BTreeSet<String>,
     rows: Vec<(String, Row)>,
+    /// Rows of each program.
+    builds: BTreeMap<String, usize>,
+}
+
+impl Inside {
+    fn add(&mut self, finished: Finished, first_program: &str) {
+        let Finished {
+            task,
+            program,
+            rows,
+        } = finished;
+        let program = program.unwrap_or_else(|| first_program.to_owned());
+        if !rows.is_empty() {
+            *self.builds.entry(program).or_default() += rows.len();
+        }
+        let named = rows.into_iter().map(|row| (task.clone(), row));
+        self.rows.extend(named);
+        self.tasks.insert(task);
+    }
 }
 
 impl Store {
@@ -78,20 +105,25 @@ impl Store {
             .and_then(|line| serde_json::from_str(line).ok());
         let known = first.filter(|known| known.is_same_study(&record, same_program));
         let mut whole = String::new();
-        let (mut tasks, mut rows) = (BTreeSet::new(), Vec::new());
+        let mut finished: Vec<Finished> = Vec::new();
+        let mut tasks = BTreeSet::new();
         if known.is_some() {
             for line in lines.filter(|line| line.ends_with('\n')) {
-                let Ok(finished) = serde_json::from_str::<Finished>(line) else {
+                let Ok(task) = serde_json::from_str::<Finished>(line) else {
                     continue;
                 };
-                if tasks.insert(finished.task.clone()) {
+                if tasks.insert(task.task.clone()) {
                     whole += line;
-                    let task = finished.task;
-                    rows.extend(finished.rows.into_iter().map(|row| (task.clone(), row)));
+                    finished.push(task);
                 }
             }
         }
-        let record = known.unwrap_or(record);
+        let program = record.program.clone();
+        // What is left out is not measured: it may be other files today.
+        let record = Record {
+            left_out: record.left_out.clone(),
+            ..known.unwrap_or(record)
+        };
         let head = serde_json::to_string(&record)? + "\n" + &whole;
         std::fs::write(path, head)
             .with_context(|| format!("{}: cannot be written", path.display()))?;
@@ -99,11 +131,21 @@ impl Store {
             .append(true)
             .open(path)
             .with_context(name)?;
-        let count = tasks.len();
+        let count = finished.len();
+        let mut inside = Inside {
+            file,
+            tasks: BTreeSet::new(),
+            rows: Vec::new(),
+            builds: BTreeMap::new(),
+        };
+        for finished in finished {
+            inside.add(finished, &record.program);
+        }
         let store = Self {
             path: path.to_owned(),
+            program: Some(program).filter(|program| *program != record.program),
             record,
-            inside: Mutex::new(Inside { file, tasks, rows }),
+            inside: Mutex::new(inside),
         };
         Ok((store, count))
     }
@@ -123,6 +165,7 @@ impl Store {
     pub fn add(&self, task: &str, rows: impl IntoIterator<Item = Row>) -> Result<()> {
         let finished = Finished {
             task: task.to_owned(),
+            program: self.program.clone(),
             rows: rows.into_iter().collect(),
         };
         let line = serde_json::to_string(&finished)? + "\n";
@@ -135,13 +178,7 @@ impl Store {
             .file
             .write_all(line.as_bytes())
             .with_context(|| format!("{}: cannot be written", self.path.display()))?;
-        inside.tasks.insert(finished.task.clone());
-        inside.rows.extend(
-            finished
-                .rows
-                .into_iter()
-                .map(|row| (finished.task.clone(), row)),
-        );
+        inside.add(finished, &self.record.program);
         Ok(())
     }
 
@@ -154,13 +191,21 @@ impl Store {
             .unwrap_or_else(std::sync::PoisonError::into_inner);
         let mut rows: Vec<&(String, Row)> = inside.rows.iter().collect();
         rows.sort_by(|a, b| a.0.cmp(&b.0));
+        let builds = inside.builds.iter().map(|(program, rows)| Build {
+            program: program.clone(),
+            rows: *rows,
+        });
         let mut results = Results {
-            record: self.record.clone(),
+            record: Record {
+                builds: builds.collect(),
+                ..self.record.clone()
+            },
             quality: Vec::new(),
             speed: Vec::new(),
             perception: Vec::new(),
             times: Vec::new(),
             density: Vec::new(),
+            kernels: Vec::new(),
         };
         for (_, row) in rows {
             match row.clone() {
@@ -169,6 +214,7 @@ impl Store {
                 Row::Perception(row) => results.perception.push(row),
                 Row::Times(row) => results.times.push(row),
                 Row::Density(row) => results.density.push(row),
+                Row::Kernel(row) => results.kernels.push(row),
             }
         }
         results
@@ -198,7 +244,7 @@ mod tests {
     fn what_was_ended_goes_on() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rows.jsonl");
-        let record = Record::new(&[], &Effort::QUICK, "built-in");
+        let record = Record::new(&[], &[], &Effort::QUICK, "built-in");
         let (store, count) = Store::open(&path, record.clone(), true).unwrap();
         assert_eq!(count, 0);
         store.add("one", [row()]).unwrap();
@@ -219,12 +265,30 @@ mod tests {
             ..record.clone()
         };
         let (store, count) = Store::open(&path, later, true).unwrap();
-        assert_eq!((count, store.results().record), (3, record.clone()));
+        let of = |program: &str, rows| Build {
+            program: program.to_owned(),
+            rows,
+        };
+        let first = of(&record.program, 3);
+        let built = |builds: &[Build]| Record {
+            builds: builds.to_vec(),
+            ..record.clone()
+        };
+        assert_eq!(count, 3);
+        assert_eq!(store.results().record, built(std::slice::from_ref(&first)));
         let rebuilt = Record {
             program: "another".to_owned(),
             ..record.clone()
         };
-        assert_eq!(Store::open(&path, rebuilt.clone(), false).unwrap().1, 3);
+        // Rows of another build are its own, and stay so.
+        let (store, count) = Store::open(&path, rebuilt.clone(), false).unwrap();
+        assert_eq!(count, 3);
+        store.add("four", [row(), row()]).unwrap();
+        let mut both = [first, of("another", 2)];
+        both.sort_by(|a, b| a.program.cmp(&b.program));
+        assert_eq!(store.results().record, built(&both));
+        let (store, count) = Store::open(&path, record.clone(), true).unwrap();
+        assert_eq!((count, store.results().record), (4, built(&both)));
         let other = Record {
             seed: 7,
             ..record.clone()
@@ -239,7 +303,7 @@ mod tests {
         let path = folder.path().join("rows.jsonl");
         for bytes in [&b"\xff\xfe\n{}"[..], b"{}\n{}\n", b"\n\n"] {
             std::fs::write(&path, bytes).unwrap();
-            let record = Record::new(&[], &Effort::QUICK, "built-in");
+            let record = Record::new(&[], &[], &Effort::QUICK, "built-in");
             let (store, count) = Store::open(&path, record, true).unwrap();
             assert_eq!(count, 0);
             store.add("one", [row()]).unwrap();

@@ -42,7 +42,7 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("rows.jsonl");
     let sets = [set()];
-    let record = Record::new(&sets, &EFFORT, "built-in");
+    let record = Record::new(&sets, &[], &EFFORT, "built-in");
     let (store, _) = Store::open(&path, record.clone(), true).unwrap();
     run(&sets, &EFFORT, &segmenter, &store, &|_, _| ()).unwrap();
     let results = store.results();

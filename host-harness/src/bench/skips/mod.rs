@@ -19,9 +19,8 @@ use eecvs_nostd::bits::exp_golomb;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt};
 use eecvs_nostd::window::SEGMENT_PIXELS;
 use eecvs_nostd::{
-    Coded, Config, Descriptor, Encoded, Encoder, FRAME_BYTES_MAX, Filter, Frame, Header,
-    KEY_WINDOWS, Level, Mode, Push, Quantiser, Thresholds, Transform, WindowConfig, bitmap_words,
-    segments,
+    Coded, Config, Descriptor, Encoded, Encoder, FRAME_BYTES_MAX, Frame, Header, Level, Mode, Push,
+    Thresholds, Transform, WindowConfig, bitmap_words, segments,
 };
 use serde::Serialize;
 
@@ -182,22 +181,18 @@ impl<'s> Point<'s> {
 
     fn config(&self, m: u8) -> Config {
         Config {
-            window: WindowConfig {
-                sensor: self.source.sensor,
-                window_us: WINDOW_US,
-            },
-            // Unused, since the transform is given.
-            thresholds: const { Thresholds::new(0, 0).unwrap() },
             transform: Some(self.transform),
             m,
             grid: Some(self.grid()),
-            quantiser: Quantiser::DEFAULT,
-            mode: Mode::Transform,
-            key_windows: KEY_WINDOWS,
-            readout: None,
-            filter: Filter::NONE,
-            bytes_per_second: None,
-            keep_order: false,
+            ..Config::new(
+                WindowConfig {
+                    sensor: self.source.sensor,
+                    window_us: WINDOW_US,
+                },
+                // Unused, since the transform is given.
+                const { Thresholds::new(0, 0).unwrap() },
+                Mode::Transform,
+            )
         }
     }
 

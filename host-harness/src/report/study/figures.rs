@@ -4,10 +4,11 @@ use anyhow::Result;
 use eecvs_nostd::{Coder, Event, Fidelity, Transform};
 
 use super::colours::label;
+use super::panels::Whole;
 use super::rate_distortion::RateDistortion;
+use super::section::Section;
 use super::time_errors::TimeErrors;
 use crate::baseline::{Baseline, Stored};
-use crate::bench::{self, Origin, cut, mcu};
 use crate::reconstruct::events::Finder;
 use crate::report::chart::{self, DensityPoint, Thresholds};
 use crate::report::kernel_chart;
@@ -18,6 +19,7 @@ use crate::source::{Source, WINDOW_US};
 use crate::study::Results;
 use crate::study::density::Densities;
 use crate::study::effort::M;
+use crate::study::kernels::KernelRow;
 use crate::study::method::Method;
 use crate::study::perception::SLICE_US;
 use crate::study::quality;
@@ -26,7 +28,9 @@ use crate::study::set::Set;
 /// A picture on the page, and beside it.
 #[derive(Debug, Clone)]
 pub struct Figure {
-    /// Name of its files without ending; it begins with the name of its section of the page.
+    /// Where it is on the page.
+    pub section: Section,
+    /// Name of its files without ending.
     pub name: String,
     /// What stands below it.
     pub caption: String,
@@ -37,8 +41,9 @@ pub struct Figure {
 }
 
 impl Figure {
-    fn chart(name: String, caption: &str, sheet: Sheet) -> Self {
+    fn chart(section: Section, name: String, caption: &str, sheet: Sheet) -> Self {
         Self {
+            section,
             name,
             caption: caption.to_owned(),
             svg: Some(sheet.svg),
@@ -51,10 +56,10 @@ impl Figure {
 ///
 /// # Errors
 /// As [`charts`], [`of_slices`] and [`of_kernels`].
-pub fn all(sets: &[Set], results: &Results, effort: bench::Effort) -> Result<Vec<Figure>> {
+pub fn all(sets: &[Set], results: &Results) -> Result<Vec<Figure>> {
     let mut figures = charts(results)?;
     figures.extend(of_slices(sets)?);
-    figures.push(of_kernels(effort)?);
+    figures.push(of_kernels(results)?);
     Ok(figures)
 }
 
@@ -65,16 +70,18 @@ pub fn all(sets: &[Set], results: &Results, effort: bench::Effort) -> Result<Vec
 pub fn charts(results: &Results) -> Result<Vec<Figure>> {
     let mut figures = vec![
         Figure::chart(
+            Section::Rate,
             "rate-distortion".to_owned(),
             "Bits per event against the error of event times; what is exact stands at the foot. Down and \
              left is better.",
-            Sheet::new(&RateDistortion(results))?,
+            Sheet::new(&Whole(RateDistortion(results)))?,
         ),
         Figure::chart(
+            Section::Rate,
             "rate-times".to_owned(),
             "Share of events within an error of their own time. What does not reach 100 % came back as \
              another number of events. Up and left is better.",
-            Sheet::new(&TimeErrors(results))?,
+            Sheet::new(&Whole(TimeErrors(results)))?,
         ),
     ];
     for set in results.densities() {
@@ -85,12 +92,14 @@ pub fn charts(results: &Results) -> Result<Vec<Figure>> {
             .collect();
         let title = format!("{} windows of the {}", densities.len(), set.set);
         figures.push(Figure::chart(
+            Section::Density,
             format!("density-histogram-{}", set.set),
             "Densities of all windows of a set, empty ones included, with the two thresholds that part the \
              regimes: its 25th and 75th percentile.",
             chart::density_histogram(&title, &densities, thresholds(set))?,
         ));
         figures.push(Figure::chart(
+            Section::Density,
             format!("density-over-time-{}", set.set),
             "Density and regime of one window after the other, source by source in the order of the table.",
             over_time(set)?,
@@ -149,6 +158,7 @@ pub fn of_slices(sets: &[Set]) -> Result<Vec<Figure>> {
         }
         let Strips { picture, part } = strips(window.sensor, &slice(&window.events), &methods);
         figures.push(Figure {
+            section: Section::TableOne,
             name: format!("table-one-strips-{}", set.name),
             caption: format!(
                 "{} ms out of a window of {} ({} events), {part}{}: the original, and for each representation \
@@ -219,21 +229,17 @@ fn dense_window(set: &Set) -> Option<(&Source, Source)> {
     Some((source, window))
 }
 
-/// Run time against error of every kernel: the host's measured now on windows of emulated scenes, the
-/// microcontroller's as saved with the project.
+/// Run time against error of every kernel.
 ///
 /// # Errors
-/// A kernel that is not within its documented error.
-pub fn of_kernels(effort: bench::Effort) -> Result<Figure> {
-    let windows = bench::windows(&cut::of_scenes()?, effort)?;
-    let mut counts = mcu::saved()?;
-    counts.retain(|count| count.origin == Origin::Emulator.name());
-    let rows = bench::measure(&windows, &counts, effort, &mut || ())?;
-    let mut rows = bench::over_windows(&rows);
-    rows.retain(|row| ["host", "cortex-m4"].contains(&row.target) && !row.is_crowded);
+/// Rows that no chart can be made of.
+pub fn of_kernels(results: &Results) -> Result<Figure> {
+    let rows = results.kernels.iter().map(KernelRow::of_bench);
+    let rows = rows.collect::<Result<Vec<_>>>()?;
     let title =
         "Accumulate stage: run time against error at M = 8, 16, 24, 64; windows of emulated scenes";
     Ok(Figure {
+        section: Section::TableThree,
         name: "table-three-kernels".to_owned(),
         caption: "Every kernel and its peers. Filled points are on the front of their M. Down and left is \
                   better."

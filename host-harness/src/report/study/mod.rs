@@ -3,7 +3,9 @@
 pub mod colours;
 pub mod figures;
 pub mod page;
+pub mod panels;
 pub mod rate_distortion;
+pub mod section;
 pub mod table;
 pub mod tables;
 pub mod time_errors;

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use super::colours::label;
 use super::figures::Figure;
+use super::section::Section;
 use super::table::{Table, escape};
 use super::tables;
 use crate::study::Results;
@@ -35,8 +36,7 @@ nav a { display: inline-block }
   figure svg { max-width: none } figure img { width: 980px; max-width: none } }
 ";
 
-/// The page of a study; figures come after the tables of their section, which is their name's first
-/// word.
+/// The page of a study; figures come after the tables of their section.
 ///
 /// # Errors
 /// A picture that is no PNG file.
@@ -52,24 +52,16 @@ pub fn html(results: &Results, figures: &[Figure]) -> anyhow::Result<String> {
         let _ = writeln!(html, "<p class=\"answer\">{}</p>", escape(&text(&answer)));
     }
     html += "<nav>";
-    let sections = [
-        ("rate", "Rate and distortion"),
-        ("claims", "The paper's claims"),
-        ("table-one", "Table I"),
-        ("table-two", "Table II"),
-        ("table-three", "Table III"),
-        ("perception", "Tables IV and V"),
-        ("density", "Densities"),
-        ("sources", "Sources"),
-    ];
-    for (id, name) in sections {
+    for section in Section::ALL {
+        let (id, name) = (section.id(), section.title());
         let _ = write!(html, "<a href=\"#{id}\">{name}</a> ");
     }
     html += "</nav>\n";
-    for (id, name) in sections {
+    for section in Section::ALL {
+        let (id, name) = (section.id(), section.title());
         let _ = writeln!(html, "<h2 id=\"{id}\">{name}</h2>");
-        html += &section(id, results);
-        for figure in figures.iter().filter(|figure| figure.name.starts_with(id)) {
+        html += &content(section, results);
+        for figure in figures.iter().filter(|figure| figure.section == section) {
             html += &figure.html()?;
         }
     }
@@ -88,26 +80,26 @@ pub fn html(results: &Results, figures: &[Figure]) -> anyhow::Result<String> {
     Ok(html)
 }
 
-fn section(id: &str, results: &Results) -> String {
+fn content(section: Section, results: &Results) -> String {
     let all = |tables: Vec<Table>| tables.iter().map(Table::html).collect::<String>();
-    match id {
-        "rate" => String::from(
+    match section {
+        Section::Rate => String::from(
             "<p>A point is a setting of a representation: M of coefficients, channels of an array, the \
              tolerance of events. Bits are those of what packs each best: the codec's dense coder, and \
              for arrays 8 or 32 bits a number of the active pixels alone, compressed by xz. An event that \
              is missing or too many counts as a window, 32,768 us.</p>\n",
         ),
-        "claims" => claims(results),
-        "table-one" => {
+        Section::Claims => claims(results),
+        Section::TableOne => {
             let mut tables = tables::table_one(results);
             tables.push(tables::other_arrays(results));
             all(tables)
         }
-        "table-two" => all(vec![tables::table_two(results)]),
-        "table-three" => all(vec![tables::table_three(results)]),
-        "perception" => all(tables::tables_four_and_five(results)),
-        "density" => all(vec![tables::regimes(results)]),
-        _ => all(vec![tables::sources(results)]),
+        Section::TableTwo => all(vec![tables::table_two(results)]),
+        Section::TableThree => all(vec![tables::table_three(results)]),
+        Section::Perception => all(tables::tables_four_and_five(results)),
+        Section::Density => all(vec![tables::regimes(results)]),
+        Section::Sources => all(vec![tables::sources(results)]),
     }
 }
 

@@ -8,14 +8,11 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::colours::REPRESENTATIONS;
+use super::panels::{Panels, mark};
 use crate::report::kernel_chart::{Drawn, FRONT, GRID, power, text};
-use crate::report::sheet::Chart;
 use crate::study::Results;
 use crate::study::claims::{family, median};
 
-const WIDTH: u32 = 820;
-const HEAD: u32 = 66;
-const PANEL: u32 = 430;
 /// Where no error is, in us; and the least that is drawn above it.
 const FOOT_US: f64 = 0.01;
 const LEAST_US: f64 = 0.1;
@@ -80,6 +77,16 @@ impl RateDistortion<'_> {
             .collect();
         points.sort_by(|a, b| a.group.cmp(&b.group).then(a.bits.total_cmp(&b.bits)));
         points
+    }
+}
+
+impl Panels for RateDistortion<'_> {
+    const TITLE: &'static str =
+        "Bits per event against the error of times, medians; beside points their M or setting";
+    const HEIGHT: u32 = 430;
+
+    fn results(&self) -> &Results {
+        self.0
     }
 
     fn panel<B: DrawingBackend>(
@@ -209,62 +216,6 @@ fn bits_label(bits: f64) -> String {
         format!("{bits:.0}")
     } else {
         String::new()
-    }
-}
-
-/// A point of a representation at a place in pixels.
-pub fn mark<B: DrawingBackend>(
-    area: &DrawingArea<B, Shift>,
-    at: (i32, i32),
-    colour: RGBColor,
-    is_triangle: bool,
-    scale: i32,
-) -> Drawn<B>
-where
-    B::ErrorType: 'static,
-{
-    if is_triangle {
-        area.draw(&TriangleMarker::new(at, 5 * scale, colour.filled()))
-    } else {
-        area.draw(&Circle::new(at, 4 * scale, colour.filled()))
-    }
-}
-
-/// The representations and their colours, in two lines.
-pub fn key<B: DrawingBackend>(head: &DrawingArea<B, Shift>, top: i32, scale: i32) -> Drawn<B>
-where
-    B::ErrorType: 'static,
-{
-    for (i, (_, label, colour, is_triangle)) in REPRESENTATIONS.iter().enumerate() {
-        let (column, line) = (i as i32 % 5, i as i32 / 5);
-        let (x, y) = (20 + 158 * column, top + 18 * line);
-        mark(head, (x * scale, y * scale), *colour, *is_triangle, scale)?;
-        head.draw_text(label, &text(13, scale), ((x + 12) * scale, (y - 6) * scale))?;
-    }
-    Ok(())
-}
-
-impl Chart for RateDistortion<'_> {
-    fn size(&self) -> (u32, u32) {
-        (WIDTH, HEAD + PANEL * self.0.sets().len().max(1) as u32)
-    }
-
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
-    where
-        B::ErrorType: 'static,
-    {
-        area.fill(&WHITE)?;
-        let (head, rest) = area.split_vertically(HEAD as i32 * scale);
-        let title =
-            "Bits per event against the error of times, medians; beside points their M or setting";
-        head.draw_text(title, &text(13, scale), (14 * scale, 8 * scale))?;
-        key(&head, 36, scale)?;
-        let sets = self.0.sets();
-        let panels = rest.split_evenly((sets.len().max(1), 1));
-        for (set, panel) in sets.into_iter().zip(&panels) {
-            self.panel(set, panel, scale)?;
-        }
-        area.present()
     }
 }
 

@@ -5,6 +5,7 @@ use eecvs_nostd::Transform;
 
 use super::colours::{REPRESENTATIONS, label};
 use super::table::Table;
+use crate::recordings;
 use crate::study::Results;
 use crate::study::claims::{family, figure, median};
 use crate::study::effort::M;
@@ -462,10 +463,14 @@ pub fn regimes(results: &Results) -> Table {
 /// What the study is of.
 #[must_use]
 pub fn sources(results: &Results) -> Table {
+    let left_out = recordings::notice(&results.record.left_out);
     let mut table = Table::new(
         "Sources",
-        "What is measured of each: scenes are emulated, recordings are cut after the last whole window \
-         that keeps them within a number of events.",
+        &format!(
+            "What is measured of each: scenes are emulated, recordings are cut after the last whole window \
+             that keeps them within a number of events. {}",
+            left_out.unwrap_or_default()
+        ),
         &[
             "source",
             "set",

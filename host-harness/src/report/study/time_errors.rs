@@ -8,16 +8,11 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::colours::REPRESENTATIONS;
-use super::rate_distortion::{key, mark};
+use super::panels::{Panels, mark};
 use crate::report::kernel_chart::{Drawn, FRONT, GRID, text};
-use crate::report::sheet::Chart;
 use crate::study::Results;
 use crate::study::claims::family;
 use crate::study::times::EDGES_US;
-
-const WIDTH: u32 = 820;
-const HEAD: u32 = 66;
-const PANEL: u32 = 380;
 
 /// The chart of a study's rows.
 #[derive(Debug)]
@@ -48,6 +43,16 @@ impl TimeErrors<'_> {
         });
         let shares = shares.collect();
         (all > 0).then_some(shares)
+    }
+}
+
+impl Panels for TimeErrors<'_> {
+    const TITLE: &'static str =
+        "Share of events whose times are off by at most so much; M = 16, events within 50 us";
+    const HEIGHT: u32 = 380;
+
+    fn results(&self) -> &Results {
+        self.0
     }
 
     fn panel<B: DrawingBackend>(
@@ -117,28 +122,4 @@ fn edge(at: f64) -> String {
         .get(index as usize)
         .map(u64::to_string)
         .unwrap_or_default()
-}
-
-impl Chart for TimeErrors<'_> {
-    fn size(&self) -> (u32, u32) {
-        (WIDTH, HEAD + PANEL * self.0.sets().len().max(1) as u32)
-    }
-
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
-    where
-        B::ErrorType: 'static,
-    {
-        area.fill(&WHITE)?;
-        let (head, rest) = area.split_vertically(HEAD as i32 * scale);
-        let title =
-            "Share of events whose times are off by at most so much; M = 16, events within 50 us";
-        head.draw_text(title, &text(13, scale), (14 * scale, 8 * scale))?;
-        key(&head, 36, scale)?;
-        let sets = self.0.sets();
-        let panels = rest.split_evenly((sets.len().max(1), 1));
-        for (set, panel) in sets.into_iter().zip(&panels) {
-            self.panel(set, panel, scale)?;
-        }
-        area.present()
-    }
 }

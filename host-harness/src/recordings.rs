@@ -1,0 +1,467 @@
+//! The recordings of files and folders, each once.
+//!
+//! ```text
+//! paths -> files -> events -> taken
+//!                          -> left out: the same events as a file that is taken, or no recording
+//! ```
+//!
+//! What a file holds decides, not where it lies: data sets have the same events in several formats.
+
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use eecvs_nostd::{Event, Polarity};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::formats;
+use crate::source::Source;
+
+/// Endings that a folder is searched for. Of files with the same events, the one whose ending stands
+/// first is taken: what sensors write comes before archives of it. Arrays and text count where they are
+/// named, as their endings do not tell that they hold events.
+const ENDINGS: [&str; 6] = ["aedat4", "aedat", "raw", "evt2", "h5", "hdf5"];
+
+/// A recording that is taken.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Recording<T> {
+    /// As no other one is called.
+    pub name: String,
+    /// Its file.
+    pub path: PathBuf,
+    /// What is kept of it.
+    pub kept: T,
+}
+
+/// Why a file is left out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Why {
+    /// The file that is taken has the same events: the same times from the first event on, places and
+    /// polarities, in any order of equal times.
+    SameEventsAs(String),
+    /// It lies in a folder and cannot be read, or has no events.
+    NotRead(String),
+}
+
+/// A file that is left out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Its path.
+    pub file: String,
+    /// The reason.
+    pub why: Why,
+}
+
+/// What some paths hold.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Recordings<T> {
+    /// In the order of their paths, those of a folder sorted.
+    pub taken: Vec<Recording<T>>,
+    /// What else was found.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// A file that may be a recording.
+#[derive(Debug, Clone)]
+struct File {
+    path: PathBuf,
+    /// In [`ENDINGS`], counted from 1; 0 where it was named.
+    rank: usize,
+    /// Whether the folder that it lies in was found in another one that was named.
+    is_below: bool,
+}
+
+/// Reads every recording of some paths, files or folders; `keep` is given each that has not been there
+/// yet, one at a time, and `progress` is told how many have been read. A folder stands for the
+/// recordings in it and in its folders, without those below.
+///
+/// # Errors
+/// A folder that cannot be listed, or a named file that cannot be read; the message names it.
+pub fn read<T>(
+    paths: &[PathBuf],
+    progress: &dyn Fn(usize),
+    keep: &mut dyn FnMut(Source) -> T,
+) -> Result<Recordings<T>> {
+    let files = files(paths)?;
+    let mut by_rank: Vec<(usize, &File)> = files.iter().enumerate().collect();
+    by_rank.sort_by_key(|(_, file)| file.rank);
+    let mut taken = Vec::new();
+    let mut left_out = Vec::new();
+    let mut known: BTreeMap<[u8; 32], &Path> = BTreeMap::new();
+    for (read, (place, file)) in by_rank.into_iter().enumerate() {
+        progress(read);
+        let source = match recording("", &file.path) {
+            Ok(source) => source,
+            Err(error) if file.rank == 0 => return Err(error),
+            Err(error) => {
+                let why = Why::NotRead(format!("{error:#}"));
+                left_out.push((place, why));
+                continue;
+            }
+        };
+        match known.entry(fingerprint(&source)) {
+            Entry::Occupied(same) => {
+                let why = Why::SameEventsAs(same.get().display().to_string());
+                left_out.push((place, why));
+            }
+            Entry::Vacant(new) => {
+                new.insert(&file.path);
+                taken.push((place, file, keep(source)));
+            }
+        }
+    }
+    taken.sort_by_key(|(place, ..)| *place);
+    left_out.sort_by_key(|(place, _)| *place);
+    let names = names(&taken.iter().map(|(_, file, _)| *file).collect::<Vec<_>>());
+    let recordings = names.into_iter().zip(taken);
+    let left_out = left_out.into_iter().filter_map(|(place, why)| {
+        let file = files.get(place)?.path.display().to_string();
+        Some(LeftOut { file, why })
+    });
+    Ok(Recordings {
+        taken: recordings
+            .map(|(name, (_, file, kept))| Recording {
+                name,
+                path: file.path.clone(),
+                kept,
+            })
+            .collect(),
+        left_out: left_out.collect(),
+    })
+}
+
+/// Reads a recording.
+///
+/// # Errors
+/// As [`Source::new`]; the message names the file.
+pub fn recording(name: &str, path: &Path) -> Result<Source> {
+    let mut reader = formats::open(path, None)?;
+    Source::new(name, reader.as_mut()).with_context(|| path.display().to_string())
+}
+
+/// What is left out and why, for a person; `None` where nothing is.
+#[must_use]
+pub fn notice(left_out: &[LeftOut]) -> Option<String> {
+    let lines = left_out.iter().map(|LeftOut { file, why }| match why {
+        Why::SameEventsAs(taken) => format!("\n  {file}: the same events as {taken}"),
+        // The error names the file.
+        Why::NotRead(error) => format!("\n  {error}"),
+    });
+    let files = if left_out.len() == 1 { "file" } else { "files" };
+    let lines: String = lines.collect();
+    (!left_out.is_empty()).then(|| format!("{} {files} left out:{lines}", left_out.len()))
+}
+
+/// SHA-256 of the events, with times from the first one on; those of equal times are sorted.
+fn fingerprint(source: &Source) -> [u8; 32] {
+    let mut hash = Sha256::new();
+    let mut equal: Vec<(u16, u16, Polarity)> = Vec::new();
+    let is_equal = |a: &Event, b: &Event| a.t_us == b.t_us;
+    for events in source.events.chunk_by(is_equal) {
+        equal.clear();
+        equal.extend(
+            events
+                .iter()
+                .map(|event| (event.y, event.x, event.polarity)),
+        );
+        equal.sort_unstable_by_key(|(y, x, polarity)| (*y, *x, *polarity == Polarity::On));
+        let t_us = events.first().map_or(0, |event| event.t_us) - source.start_us();
+        for (y, x, polarity) in &equal {
+            hash.update(t_us.to_le_bytes());
+            hash.update(y.to_le_bytes());
+            hash.update(x.to_le_bytes());
+            hash.update([u8::from(*polarity == Polarity::On)]);
+        }
+    }
+    hash.finalize().into()
+}
+
+/// Every file, once.
+fn files(paths: &[PathBuf]) -> Result<Vec<File>> {
+    let mut found: Vec<File> = Vec::new();
+    for path in paths {
+        if !path.is_dir() {
+            found.push(File {
+                path: path.clone(),
+                rank: 0,
+                is_below: false,
+            });
+            continue;
+        }
+        for entry in entries(path)? {
+            if entry.is_dir() {
+                let inside = entries(&entry)?;
+                found.extend(
+                    inside
+                        .into_iter()
+                        .filter_map(|path| File::in_folder(path, true)),
+                );
+            } else {
+                found.extend(File::in_folder(entry, false));
+            }
+        }
+    }
+    // A file that was named twice, or lies in a folder that was named too, is no other file.
+    let mut known: BTreeMap<PathBuf, usize> = BTreeMap::new();
+    let mut once: Vec<File> = Vec::new();
+    for file in found {
+        let path = file.path.canonicalize().unwrap_or(file.path.clone());
+        match known.get(&path).and_then(|place| once.get_mut(*place)) {
+            Some(same) => same.rank = same.rank.min(file.rank),
+            None => {
+                known.insert(path, once.len());
+                once.push(file);
+            }
+        }
+    }
+    Ok(once)
+}
+
+impl File {
+    fn in_folder(path: PathBuf, is_below: bool) -> Option<Self> {
+        let ending = path.extension()?.to_ascii_lowercase();
+        let place = ENDINGS.iter().position(|known| ending == *known)?;
+        (!path.is_dir()).then_some(Self {
+            path,
+            rank: place + 1,
+            is_below,
+        })
+    }
+
+    /// The folder in a named one that it lies in.
+    fn folder(&self) -> Option<&Path> {
+        self.path.parent().filter(|_| self.is_below)
+    }
+}
+
+/// A recording that is alone in its folder is called as this; paths tell those apart that would share
+/// a name.
+fn names(files: &[&File]) -> Vec<String> {
+    let mut names: Vec<String> = files
+        .iter()
+        .map(|file| {
+            let Some(folder) = file.folder() else {
+                return stem(&file.path);
+            };
+            let name = folder.file_name().unwrap_or_default().to_string_lossy();
+            let beside = files.iter().filter(|other| other.folder() == Some(folder));
+            if beside.count() == 1 {
+                name.into_owned()
+            } else {
+                format!("{name}/{}", stem(&file.path))
+            }
+        })
+        .collect();
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for name in &names {
+        *counts.entry(name.clone()).or_default() += 1;
+    }
+    for (name, file) in names.iter_mut().zip(files) {
+        if counts.get(name).is_some_and(|count| *count > 1) {
+            *name = file.path.display().to_string();
+        }
+    }
+    names
+}
+
+fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
+    let listed = || -> std::io::Result<Vec<PathBuf>> {
+        let mut entries: Vec<_> = std::fs::read_dir(folder)?
+            .map(|entry| entry.map(|entry| entry.path()))
+            .collect::<Result<_, _>>()?;
+        entries.sort();
+        Ok(entries)
+    };
+    listed().with_context(|| format!("{}: cannot be listed", folder.display()))
+}
+
+fn stem(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    name.split('.').next().unwrap_or_default().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::EventWriter;
+    use crate::formats::evt2::Evt2Writer;
+    use crate::formats::evt3::Evt3Writer;
+    use crate::metrics::memory_reader::{SENSOR, event};
+
+    /// What a folder is filled with.
+    struct Folder(tempfile::TempDir);
+
+    impl Folder {
+        fn new() -> Self {
+            let folder = Self(tempfile::tempdir().unwrap());
+            for name in ["one", "two", "one/deeper"] {
+                std::fs::create_dir(folder.at(name)).unwrap();
+            }
+            folder
+        }
+
+        fn at(&self, name: &str) -> PathBuf {
+            self.0.path().join(name)
+        }
+
+        /// Events of which `x` tells them from others, from `start_us` on; the order of two equal times
+        /// depends on it.
+        fn write(&self, name: &str, x: u16, start_us: u64) {
+            let path = self.at(name);
+            let mut events = [(0, 2), (0, 1), (900, 2)]
+                .map(|(since_us, y)| event(start_us + since_us, x, y, y == 1));
+            if start_us > 0 {
+                events.swap(0, 1);
+            }
+            let mut writer: Box<dyn EventWriter> = if name.contains("evt2") {
+                Box::new(Evt2Writer::create(&path, SENSOR).unwrap())
+            } else {
+                Box::new(Evt3Writer::create(&path, SENSOR).unwrap())
+            };
+            writer.write(&events).unwrap();
+            writer.finish().unwrap();
+        }
+
+        fn read(&self, names: &[&str]) -> Result<(Vec<String>, Vec<LeftOut>)> {
+            let paths: Vec<PathBuf> = names.iter().map(|name| self.at(name)).collect();
+            let found = read(&paths, &|_| (), &mut |source| {
+                assert_eq!(source.events.len(), 3);
+            })?;
+            let names = found.taken.into_iter().map(|taken| taken.name);
+            Ok((names.collect(), found.left_out))
+        }
+    }
+
+    #[test]
+    fn folders_are_searched_two_levels_deep() {
+        let folder = Folder::new();
+        let names = [
+            "b.raw",
+            "one/x.raw",
+            "one/deeper/y.raw",
+            "two/p.evt2",
+            "two/q.evt2.raw",
+            "two/notes.txt",
+            "arrays.npz",
+        ];
+        for (x, name) in (0..).zip(names) {
+            folder.write(name, x, 0);
+        }
+        let (taken, left_out) = folder.read(&[""]).unwrap();
+        assert_eq!(taken, ["b", "one", "two/p", "two/q"]);
+        assert_eq!(left_out, []);
+        // What is named counts, whatever its ending; nothing is read twice.
+        let (taken, left_out) = folder
+            .read(&["two", "two/q.evt2.raw", "two/notes.txt"])
+            .unwrap();
+        assert_eq!(
+            (taken, left_out),
+            (
+                vec!["p", "q", "notes"]
+                    .into_iter()
+                    .map(str::to_owned)
+                    .collect(),
+                Vec::new()
+            )
+        );
+    }
+
+    #[test]
+    fn the_same_events_count_once() {
+        let folder = Folder::new();
+        // The ending that stands first in the list, not the first path, is taken.
+        folder.write("one/a.evt2", 7, 0);
+        folder.write("two/b.raw", 7, 5000);
+        folder.write("two/c.raw", 8, 0);
+        let (taken, left_out) = folder.read(&[""]).unwrap();
+        assert_eq!(taken, ["two/b", "two/c"]);
+        let left = |file: &str, same: &str| LeftOut {
+            file: folder.at(file).display().to_string(),
+            why: Why::SameEventsAs(folder.at(same).display().to_string()),
+        };
+        assert_eq!(left_out, [left("one/a.evt2", "two/b.raw")]);
+        let text = notice(&left_out).unwrap();
+        assert!(
+            text.starts_with("1 file left out:") && text.contains("a.evt2: the same events as")
+        );
+        assert_eq!(notice(&[]), None);
+        // What is named comes first.
+        let (taken, left_out) = folder.read(&["", "one/a.evt2"]).unwrap();
+        assert_eq!(taken, ["one", "two"]);
+        assert_eq!(left_out, [left("two/b.raw", "one/a.evt2")]);
+    }
+
+    #[test]
+    fn recordings_of_one_name_are_told_apart() {
+        let folder = Folder::new();
+        for (x, name) in (0..).zip(["one/a.raw", "two/a.raw", "two/c.raw"]) {
+            folder.write(name, x, 0);
+        }
+        let (taken, _) = folder.read(&["one", "two"]).unwrap();
+        let path = |name: &str| folder.at(name).display().to_string();
+        assert_eq!(
+            taken,
+            [path("one/a.raw"), path("two/a.raw"), "c".to_owned()]
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_said() {
+        let folder = Folder::new();
+        folder.write("one/a.raw", 0, 0);
+        std::fs::write(folder.at("one/depth.hdf5"), "no HDF5").unwrap();
+        let (taken, left_out) = folder.read(&[""]).unwrap();
+        assert_eq!(taken, ["one"]);
+        let Why::NotRead(error) = &left_out[0].why else {
+            panic!("{left_out:?}");
+        };
+        assert!(error.contains("depth.hdf5"), "{error}");
+        assert!(notice(&left_out).unwrap().contains(error));
+        // A person who names it wants it read.
+        for name in ["one/depth.hdf5", "nothing.raw"] {
+            let error = folder.read(&["", name]).unwrap_err();
+            assert!(format!("{error:#}").contains(name), "{error:#}");
+        }
+    }
+
+    #[test]
+    fn the_shared_recordings_are_those_of_the_record() {
+        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data"));
+        if !folder.is_dir() {
+            eprintln!("skipped: {} is not there", folder.display());
+            return;
+        }
+        let found = read(&[folder.to_owned()], &|_| (), &mut |_| ()).unwrap();
+        let names: Vec<&str> = found
+            .taken
+            .iter()
+            .map(|taken| taken.name.as_str())
+            .collect();
+        assert_eq!(
+            names,
+            [
+                "davis240_boxes_moderate",
+                "davis346_building_dense",
+                "davis346_static_sparse",
+                "dvs128_standup",
+                "dvs128_walking_moderate",
+                "dvs128_walking_sparse",
+                "dvxl_person_moderate",
+                "gen3_vga_dense_evt2",
+                "imx636_sparse_evt3",
+            ]
+        );
+        let same = |left_out: &LeftOut| match &left_out.why {
+            Why::SameEventsAs(taken) => {
+                taken.ends_with("davis346_building_dense/davis.aedat4")
+                    && left_out.file.contains("derived_layouts")
+            }
+            Why::NotRead(_) => false,
+        };
+        assert_eq!(found.left_out.len(), 2);
+        assert!(found.left_out.iter().all(same), "{:?}", found.left_out);
+    }
+}
