@@ -131,6 +131,12 @@ impl DatReader {
         }
         let sensor = header.sensor_or(size, &input)?;
         let start = input.offset();
+        let t0_us = match header.t0_us.as_deref().map(str::parse) {
+            None => 0,
+            Some(Ok(t0_us)) if t0_us <= Wrapping::START_MAX => t0_us,
+            // Every time would be another, in silence.
+            Some(_) => return Err(input.error_at(0, "% T0 is no time of at most 2^60 us")),
+        };
         let version = match header.version.as_deref() {
             Some("2") => Version::Two,
             Some("0" | "1") => Version::One,
@@ -146,7 +152,7 @@ impl DatReader {
             version,
             sensor,
             start,
-            t0_us: header.t0_us,
+            t0_us,
             time: Wrapping::new(32, 0),
             times: None,
             events: 0,
@@ -325,7 +331,9 @@ mod tests {
             top + 2,
             top - 1,
             top + 9,
-            2 * top - 9,
+            top + (1 << 30),
+            top + (1 << 31),
+            top + (3 << 30),
             2 * top + 99,
         ];
         let records: Vec<_> = times.iter().map(|time| record(*time, 0)).collect();

@@ -84,8 +84,8 @@ pub struct RawHeader {
     pub data: Option<String>,
     /// From `% Version`: a DAT file's.
     pub version: Option<String>,
-    /// From `% T0`: microseconds to add to every time of a DAT file.
-    pub t0_us: u64,
+    /// From `% T0`: microseconds to add to every time of a DAT file, as they stand there.
+    pub t0_us: Option<String>,
     /// Bytes up to the first that is not of the header.
     pub length: u64,
 }
@@ -259,12 +259,6 @@ impl Fields {
         if time_base_us > Wrapping::START_MAX {
             return Err(input.error(format!("{TIME_BASE_KEY} {time_base_us} is above 2^60")));
         }
-        // A line that another program means otherwise must not shift every time in silence.
-        let t0_us = match self.t0_us.as_deref().map(str::parse) {
-            None => 0,
-            Some(Ok(t0_us)) if t0_us <= Wrapping::START_MAX => t0_us,
-            Some(_) => return Err(input.error("T0 is no time of at most 2^60 us")),
-        };
         Ok(RawHeader {
             words,
             sensor: sensor.transpose()?,
@@ -273,7 +267,7 @@ impl Fields {
             endianness: self.endianness,
             data: self.data,
             version: self.version,
-            t0_us,
+            t0_us: self.t0_us,
             length: input.offset(),
         })
     }
@@ -361,7 +355,8 @@ mod tests {
         assert_eq!(header.words, Err(String::new()));
         assert_eq!(header.data.as_deref(), Some(" CD events."));
         assert_eq!(header.version.as_deref(), Some("2"));
-        assert_eq!((header.t0_us, header.length, offset), (17, 54, 54));
+        assert_eq!(header.t0_us.as_deref(), Some("17"));
+        assert_eq!((header.length, offset), (54, 54));
     }
 
     #[test]
