@@ -302,3 +302,26 @@ fn evt4_that_ends_within_a_vector() {
         "{error}"
     );
 }
+
+/// faery takes the first time off and says so.
+#[test]
+fn t0_is_added_to_every_time() {
+    let lines =
+        |version: &str| format!("% evt {version}\n% geometry 9x9\n% T0 5000000000\n% end\n");
+    let bytes = |words: &[u32]| -> Vec<u8> { words.iter().flat_map(|w| w.to_le_bytes()).collect() };
+    let evt21 = [time_word(2), vector(1, 5, 3, 4, 1)];
+    let evt21: Vec<u8> = evt21.iter().flat_map(|word| word.to_le_bytes()).collect();
+    let place = 5 << 22 | 3 << 11 | 4;
+    for (version, words) in [
+        ("2.0", bytes(&[0x8000_0002, 1 << 28 | place])),
+        ("2.1", evt21),
+        ("3.0", bytes(&[0x6085_8000, 0x2803_0004])),
+        ("4.0", bytes(&[0xe000_0002, 0xb << 28 | place])),
+    ] {
+        let (events, _) = read(&lines(version), &words);
+        assert_eq!(events, [event(5_000_000_133, 3, 4, true)], "{version}");
+    }
+    let text = lines("2.0").replace("5000000000", "soon");
+    let source = Box::new(Cursor::new(text.into_bytes()));
+    assert!(formats::open_source(source, "test", None).is_err());
+}

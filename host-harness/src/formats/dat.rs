@@ -131,12 +131,7 @@ impl DatReader {
         }
         let sensor = header.sensor_or(size, &input)?;
         let start = input.offset();
-        let t0_us = match header.t0_us.as_deref().map(str::parse) {
-            None => 0,
-            Some(Ok(t0_us)) if t0_us <= Wrapping::START_MAX => t0_us,
-            // Every time would be another, in silence.
-            Some(_) => return Err(input.error_at(0, "% T0 is no time of at most 2^60 us")),
-        };
+        let t0_us = header.t0_us(&input)?;
         let version = match header.version.as_deref() {
             Some("2") => Version::Two,
             Some("0" | "1") => Version::One,

@@ -54,12 +54,14 @@ impl Evt2Reader {
             return Err(input.error_at(0, "no EVT 2.0 header (% evt 2.0)"));
         }
         let sensor = header.sensor_or(size, &input)?;
+        let t0_us = header.t0_us(&input)?;
+        let base_us = header.time_base_us - header.time_base_us % PERIOD_US;
         Ok(Self::around(Evt2Decoder {
             input,
             words: Words::default(),
             sensor,
             camera: header.camera,
-            decoder: WordDecoder::new(header.time_base_us - header.time_base_us % PERIOD_US),
+            decoder: WordDecoder::new(base_us + t0_us),
             events: 0,
             skipped: Skipped::default(),
         }))

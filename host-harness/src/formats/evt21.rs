@@ -70,6 +70,7 @@ impl Evt21Reader {
             return Err(input.error_at(0, "no EVT 2.1 header (% evt 2.1)"));
         }
         let sensor = header.sensor_or(size, &input)?;
+        let t0_us = header.t0_us(&input)?;
         let order = match header.endianness.as_deref() {
             Some("legacy") => Order::UpperFirst,
             Some("little") => Order::Little,
@@ -86,6 +87,7 @@ impl Evt21Reader {
             order,
             sensor,
             camera: header.camera,
+            t0_us,
             high: Wrapping::new(HIGH_BITS, header.time_base_us >> LOW_BITS),
             events: 0,
             skipped: Skipped::default(),
@@ -100,6 +102,7 @@ pub struct Evt21Decoder {
     order: Order,
     sensor: Sensor,
     camera: Option<String>,
+    t0_us: u64,
     /// Time bits 6 and up; without a value before the first `EVT_TIME_HIGH`.
     high: Wrapping,
     events: u64,
@@ -119,7 +122,8 @@ impl Evt21Decoder {
             self.skipped.add("events before the first time", count);
             return Ok(());
         };
-        let t_us = high << LOW_BITS | word >> TIME_SHIFT & ((1 << LOW_BITS) - 1);
+        let low = word >> TIME_SHIFT & ((1 << LOW_BITS) - 1);
+        let t_us = (high << LOW_BITS | low) + self.t0_us;
         let polarity = Polarity::from_bool(word >> TYPE_SHIFT == 1);
         let y = (word >> Y_SHIFT & SIDE) as u16;
         while left != 0 {

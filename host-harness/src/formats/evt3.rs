@@ -85,11 +85,13 @@ impl Evt3Reader {
             return Err(input.error_at(0, "no EVT 3.0 header (% evt 3.0)"));
         }
         let sensor = header.sensor_or(size, &input)?;
+        let t0_us = header.t0_us(&input)?;
         Ok(Self::around(Evt3Decoder {
             input,
             words: Words::default(),
             sensor,
             camera: header.camera,
+            t0_us,
             high: Wrapping::new(TIME_BITS, header.time_base_us >> TIME_BITS),
             low: 0,
             y: None,
@@ -106,6 +108,7 @@ pub struct Evt3Decoder {
     words: Words<2>,
     sensor: Sensor,
     camera: Option<String>,
+    t0_us: u64,
     /// Time bits 12 and up; without a value before the first `TIME_HIGH`.
     high: Wrapping,
     low: u16,
@@ -139,7 +142,7 @@ impl Evt3Decoder {
                 return Ok(());
             }
         };
-        let t_us = high << TIME_BITS | u64::from(self.low);
+        let t_us = (high << TIME_BITS | u64::from(self.low)) + self.t0_us;
         let mut left = bits;
         while left != 0 {
             let x = x + left.trailing_zeros();
@@ -207,7 +210,7 @@ impl Decode for Evt3Decoder {
                     // Most words, without the loop over a vector's bits.
                     (Some(high), Some(y)) if self.sensor.contains(coordinate, y) => {
                         batch.push(Event {
-                            t_us: high << TIME_BITS | u64::from(self.low),
+                            t_us: (high << TIME_BITS | u64::from(self.low)) + self.t0_us,
                             x: coordinate,
                             y,
                             polarity,

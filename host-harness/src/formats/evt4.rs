@@ -78,11 +78,13 @@ impl Evt4Reader {
             return Err(input.error_at(0, "no EVT 4.0 header (% evt 4.0)"));
         }
         let sensor = header.sensor_or(size, &input)?;
+        let t0_us = header.t0_us(&input)?;
         Ok(Self::around(Evt4Decoder {
             input,
             words: Words::default(),
             sensor,
             camera: header.camera,
+            t0_us,
             high: Wrapping::new(HIGH_BITS, header.time_base_us >> LOW_BITS),
             events: 0,
             skipped: Skipped::default(),
@@ -96,6 +98,7 @@ pub struct Evt4Decoder {
     words: Words<4>,
     sensor: Sensor,
     camera: Option<String>,
+    t0_us: u64,
     /// Time bits 6 and up; without a value before the first `EVT_TIME_HIGH`.
     high: Wrapping,
     events: u64,
@@ -116,7 +119,7 @@ impl Evt4Decoder {
             return Ok(());
         };
         let low = word >> LOW_SHIFT & ((1 << LOW_BITS) - 1);
-        let t_us = high << LOW_BITS | u64::from(low);
+        let t_us = (high << LOW_BITS | u64::from(low)) + self.t0_us;
         // The types of ON are odd.
         let polarity = Polarity::from_bool(word >> TYPE_SHIFT & 1 == 1);
         let y = (word & SIDE) as u16;

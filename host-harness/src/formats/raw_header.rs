@@ -84,8 +84,8 @@ pub struct RawHeader {
     pub data: Option<String>,
     /// From `% Version`: a DAT file's.
     pub version: Option<String>,
-    /// From `% T0`: microseconds to add to every time of a DAT file, as they stand there.
-    pub t0_us: Option<String>,
+    /// After `% T0`, which faery writes: see [`RawHeader::t0_us`].
+    pub t0: Option<String>,
     /// Bytes up to the first that is not of the header.
     pub length: u64,
 }
@@ -136,6 +136,18 @@ impl RawHeader {
         text + "% end\n"
     }
 
+    /// Microseconds that the header has added to every time: what faery takes off when it writes.
+    ///
+    /// # Errors
+    /// No number, or one above 2^60: every time would be another, in silence.
+    pub fn t0_us(&self, input: &Input) -> anyhow::Result<u64> {
+        match self.t0.as_deref().map(str::parse) {
+            None => Ok(0),
+            Some(Ok(t0_us)) if t0_us <= Wrapping::START_MAX => Ok(t0_us),
+            Some(_) => Err(input.error_at(0, "% T0 is no time of at most 2^60 us")),
+        }
+    }
+
     /// The sensor's size, or `size` where the header tells none.
     ///
     /// # Errors
@@ -171,7 +183,7 @@ struct Fields {
     endianness: Option<String>,
     data: Option<String>,
     version: Option<String>,
-    t0_us: Option<String>,
+    t0: Option<String>,
 }
 
 impl Fields {
@@ -216,7 +228,7 @@ impl Fields {
             "endianness" => self.endianness = Some(value.to_ascii_lowercase()),
             "data" => self.data = value.strip_prefix("file containing").map(str::to_owned),
             "version" => self.version = Some(value.to_owned()),
-            "t0" => self.t0_us = Some(value.to_owned()),
+            "t0" => self.t0 = Some(value.to_owned()),
             TIME_BASE_KEY => self.time_base_us = value.parse().unwrap_or(0),
             _ => {}
         }
@@ -267,7 +279,7 @@ impl Fields {
             endianness: self.endianness,
             data: self.data,
             version: self.version,
-            t0_us: self.t0_us,
+            t0: self.t0,
             length: input.offset(),
         })
     }
@@ -355,7 +367,7 @@ mod tests {
         assert_eq!(header.words, Err(String::new()));
         assert_eq!(header.data.as_deref(), Some(" CD events."));
         assert_eq!(header.version.as_deref(), Some("2"));
-        assert_eq!(header.t0_us.as_deref(), Some("17"));
+        assert_eq!(header.t0.as_deref(), Some("17"));
         assert_eq!((header.length, offset), (54, 54));
     }
 
