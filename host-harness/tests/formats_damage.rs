@@ -6,6 +6,7 @@ mod support;
 use std::path::Path;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
+use proptest::prelude::*;
 use support::{FORMATS, read, written};
 
 const EVENTS: u32 = 3000;
@@ -162,6 +163,39 @@ fn nonsense_is_no_recording() {
     ] {
         let error = read(bytes, None).1.expect("no recording").to_string();
         assert!(error.contains(word), "{error}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    /// Whatever stands behind a header of Prophesee's.
+    #[test]
+    fn any_words_are_survived(
+        header in prop::sample::select(vec![
+            &b"% evt 2.0\n% geometry 640x480\n% end\n"[..],
+            b"% evt 2.1\n% geometry 2048x2048\n% end\n",
+            b"% evt 2.1\n% endianness legacy\n% geometry 640x480\n% end\n",
+            b"% evt 3.0\n% geometry 640x480\n% T0 1152921504606846976\n% end\n",
+            b"% evt 4.0\n% geometry 2048x2048\n% end\n",
+            b"% Data file containing events\n% Width 999\n% Height 999\n\x00\x08",
+            b"% Version 2\n% Width 2048\n% Height 2048\n% T0 1152921504606846976\n\x0c\x08",
+        ]),
+        // Types of words in their places, as often as not.
+        words in prop::collection::vec(
+            prop_oneof![
+                any::<[u8; 4]>(),
+                (any::<[u8; 4]>(), prop::sample::select(vec![0x00, 0x10, 0x80, 0xa0, 0xb0, 0xd0, 0xe0]))
+                    .prop_map(|(word, kind)| [word[0], word[1], word[2] & 0x0f, word[3] & 0x0f | kind]),
+            ],
+            0..200,
+        ),
+        left in 0..4_usize,
+    ) {
+        let mut bytes = [header, &words.concat()].concat();
+        bytes.truncate(bytes.len() - left.min(4 * words.len()));
+        let (_, error) = read(&bytes, None);
+        check_error("words", error.as_ref());
     }
 }
 

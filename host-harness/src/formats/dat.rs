@@ -55,13 +55,14 @@ pub const FORMAT: Format = Format {
 };
 
 /// Whether a header is one of a DAT file: it names no words, and says that data follow or is followed by
-/// a record's size, which no text has.
+/// a type and a record's size, which no text has.
 fn is_dat(start: &Start) -> bool {
     start.header.as_ref().is_some_and(|header| {
         let at = usize::try_from(header.length).unwrap_or(usize::MAX);
-        let size = at.checked_add(1).and_then(|at| start.bytes.get(at));
+        let kind = start.bytes.get(at..).and_then(<[u8]>::first_chunk);
+        let is_kind = matches!(kind, Some([EVENT_2D | EVENT_CD | TRIGGER, 8]));
         let names_no_words = header.words == Err(String::new());
-        names_no_words && (header.data.is_some() || size.copied() == Some(RECORD_BYTES as u8))
+        names_no_words && (header.data.is_some() || is_kind)
     })
 }
 
