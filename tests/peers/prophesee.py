@@ -216,8 +216,8 @@ def made(folder):
         check(f"our {name} dat", ours(path), array)
         if faery:
             check(f"our {name} dat by faery", faerys(path, size), array)
-        # It carries no wraps and knows no T0.
-        if expelliarmus and name == "plain":
+        # It knows no T0.
+        if expelliarmus and name != "absolute":
             check(f"our {name} dat by expelliarmus", expelliarmuss(path, "dat"), array)
         if faery:
             for version, zero in [("dat1", True), ("dat2", True), ("dat2", False)]:

@@ -13,10 +13,10 @@
 //! records: bits 63..53 are empty in version 1. The header may name the size (`% Width`, `% Height`); N-CARS
 //! does not. Old files without any header line are not told from other bytes.
 //!
-//! The time wraps after 71.6 minutes; the wraps are carried, which OpenEB and expelliarmus do not do. A
-//! line `% T0` is added to every time, as faery does, whose writer puts it there; faery takes a time
-//! before the one before it for the same time. A file is sought by bisection, as [`super::dat_times`]
-//! says.
+//! The time wraps after 71.6 minutes; the wraps are carried, which OpenEB does not do. A line `% T0` is
+//! added to every time, as faery does, whose writer puts it there. faery gives a time that steps back as the
+//! one before it, and reads no files of type 0 but by its inner decoder. A file is sought by bisection, as
+//! [`super::dat_times`] says.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
