@@ -10,7 +10,7 @@ use eecvs_nostd::{
 use host_harness::encode::HostStorage;
 use host_harness::formats;
 
-const SEEDS: [(&str, &str, Sensor); 8] = [
+const SEEDS: [(&str, &str, Sensor); 11] = [
     (
         "read_aedat4",
         "events.aedat4",
@@ -38,6 +38,30 @@ const SEEDS: [(&str, &str, Sensor); 8] = [
     (
         "read_evt2",
         "events.evt2",
+        Sensor {
+            width: 640,
+            height: 480,
+        },
+    ),
+    (
+        "read_evt21",
+        "events.evt21",
+        Sensor {
+            width: 640,
+            height: 480,
+        },
+    ),
+    (
+        "read_evt4",
+        "events.evt4",
+        Sensor {
+            width: 640,
+            height: 480,
+        },
+    ),
+    (
+        "read_dat",
+        "events.dat",
         Sensor {
             width: 640,
             height: 480,

@@ -6,6 +6,7 @@ mod support;
 use std::path::Path;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
+use proptest::prelude::*;
 use support::{FORMATS, read, written};
 
 const EVENTS: u32 = 3000;
@@ -90,7 +91,11 @@ fn flipped_bytes() {
                 check_error(extension, error.as_ref());
                 noticed += u32::from(error.is_some() || got != events);
                 // Formats of fixed words: what was decoded before the damage is right.
-                if matches!(extension, "aedat" | "evt2.raw" | "csv" | "txt") && at > 1000 {
+                if matches!(
+                    extension,
+                    "aedat" | "evt2.raw" | "evt21.raw" | "dat" | "csv" | "txt"
+                ) && at > 1000
+                {
                     let same = got.iter().zip(&events).take_while(|(a, b)| a == b).count();
                     let before = (at - 1000) * events.len() / bytes.len() / 2;
                     assert!(
@@ -106,12 +111,15 @@ fn flipped_bytes() {
 
 #[test]
 fn nonsense_is_no_recording() {
-    let magics: [&[u8]; 8] = [
+    let magics: [&[u8]; 11] = [
         b"",
         b"#!AER-DAT4.0\r\n",
         b"#!AER-DAT2.0\r\n",
         b"% evt 2.0\n",
         b"% evt 3.0\n",
+        b"% evt 2.1\n% geometry 9x9\n% end\n",
+        b"% evt 4.0\n% geometry 9x9\n% end\n",
+        b"% Version 2\n% Width 9\n% Height 9\n\x0c\x08",
         b"t,x,y,p\n",
         b"PK\x03\x04",
         b"240 180\n",
@@ -130,7 +138,24 @@ fn nonsense_is_no_recording() {
     }
     for (bytes, word) in [
         (&b"#!AER-DAT3.1\r\n"[..], "AEDAT"),
-        (b"% evt 2.1\n% end\n", "EVT 2.1"),
+        (b"% evt 5.0\n% end\n", "EVT 5.0"),
+        (b"% evt 2.1\n% end\n", "--width"),
+        (
+            b"% evt 2.1\n% endianness big\n% geometry 4x4\n% end\n",
+            "endianness big",
+        ),
+        (
+            b"% Data file containing CD events.\n% Version 2\n",
+            "truncated",
+        ),
+        (
+            b"% Data file containing CD events.\n% Version 2\n\x0c\x08",
+            "--width",
+        ),
+        (b"% Version 7\n% Width 3\n% Height 3\n\x0c\x08", "version 7"),
+        (b"% Version 2\n\x0e\x08", "triggers"),
+        (b"% T0 -1\n% Width 3\n% Height 3\n\x0c\x08", "T0"),
+        (b"% Data file containing flow\n\x28\x1c", "type 40"),
         (b"\x89HDF\r\n\x1a\n", "damaged HDF5 file"),
         (b"\x89PNG\r\n\x1a\n", "known format"),
         (b"", "empty"),
@@ -138,6 +163,39 @@ fn nonsense_is_no_recording() {
     ] {
         let error = read(bytes, None).1.expect("no recording").to_string();
         assert!(error.contains(word), "{error}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    /// Whatever stands behind a header of Prophesee's.
+    #[test]
+    fn any_words_are_survived(
+        header in prop::sample::select(vec![
+            &b"% evt 2.0\n% geometry 640x480\n% end\n"[..],
+            b"% evt 2.1\n% geometry 2048x2048\n% end\n",
+            b"% evt 2.1\n% endianness legacy\n% geometry 640x480\n% end\n",
+            b"% evt 3.0\n% geometry 640x480\n% T0 1152921504606846976\n% end\n",
+            b"% evt 4.0\n% geometry 2048x2048\n% end\n",
+            b"% Data file containing events\n% Width 999\n% Height 999\n\x00\x08",
+            b"% Version 2\n% Width 2048\n% Height 2048\n% T0 1152921504606846976\n\x0c\x08",
+        ]),
+        // Types of words in their places, as often as not.
+        words in prop::collection::vec(
+            prop_oneof![
+                any::<[u8; 4]>(),
+                (any::<[u8; 4]>(), prop::sample::select(vec![0x00, 0x10, 0x80, 0xa0, 0xb0, 0xd0, 0xe0]))
+                    .prop_map(|(word, kind)| [word[0], word[1], word[2] & 0x0f, word[3] & 0x0f | kind]),
+            ],
+            0..200,
+        ),
+        left in 0..4_usize,
+    ) {
+        let mut bytes = [header, &words.concat()].concat();
+        bytes.truncate(bytes.len() - left.min(4 * words.len()));
+        let (_, error) = read(&bytes, None);
+        check_error("words", error.as_ref());
     }
 }
 
@@ -149,6 +207,7 @@ fn truncated_real_recordings() {
         "davis346_building_dense/davis.aedat4",
         "davis240_boxes_moderate/IMU_translBoxes.aedat",
         "gen3_vga_dense_evt2/evt2.raw",
+        "imx636_sparse_dat/gen4.dat",
         "derived_layouts/davis346_building_xytp.npz",
         "derived_layouts/davis346_building_txyp.txt",
         "derived_layouts/davis346_building_mvsec_layout.hdf5",

@@ -1,10 +1,11 @@
-//! EVT 2 and EVT 3 word by word: time overflow, missing state, everything that is no event.
+//! EVT 2, 2.1, 3 and 4 word by word: time overflow, missing state, everything that is no event.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
 use eecvs_nostd::{Event, Polarity};
 use host_harness::formats;
+use host_harness::formats::evt21_word::{Order, time_word};
 
 type Counted = BTreeMap<&'static str, u64>;
 
@@ -25,6 +26,20 @@ fn evt3(words: &[u16]) -> (Vec<Event>, Counted) {
 fn evt2(words: &[u32]) -> (Vec<Event>, Counted) {
     let words: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
     read("% evt 2.0\n% geometry 640x480\n% end\n", &words)
+}
+
+fn evt4(words: &[u32]) -> (Vec<Event>, Counted) {
+    let words: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+    read("% evt 4.0\n% geometry 640x480\n% end\n", &words)
+}
+
+/// EVT 2.1 words with the lines that tell their order, or do not.
+fn evt21(order: Order, lines: &str, words: &[u64]) -> (Vec<Event>, Counted) {
+    let words: Vec<u8> = words.iter().flat_map(|word| order.bytes(*word)).collect();
+    read(
+        &format!("% evt 2.1\n{lines}% geometry 640x480\n% end\n"),
+        &words,
+    )
 }
 
 const fn event(t_us: u64, x: u16, y: u16, on: bool) -> Event {
@@ -143,4 +158,170 @@ fn evt2_words() {
         ("unknown words", 1),
     ]);
     assert_eq!(skipped, want);
+}
+
+const fn vector(on: u64, low: u64, x: u64, y: u64, columns: u32) -> u64 {
+    on << 60 | low << 54 | x << 43 | y << 32 | columns as u64
+}
+
+#[test]
+fn evt21_words() {
+    let words = [
+        vector(1, 5, 0, 2, 7),
+        time_word(100),
+        vector(1, 5, 607, 479, 0x8000_0001),
+        vector(0, 63, 33, 0, 0x10),
+        vector(0, 63, 33, 0, 0),
+        0xa << 60 | 1,
+        0xe << 60,
+        0xf << 60,
+        0x3 << 60,
+        time_word((1 << 28) - 1),
+        vector(0, 0, 1, 1, 1),
+        time_word(0),
+        vector(0, 1, 2, 2, 1),
+    ];
+    let want_events = [
+        event(6405, 607, 479, true),
+        event(6405, 638, 479, true),
+        event(6463, 37, 0, false),
+        event((1 << 34) - 64, 1, 1, false),
+        event((1 << 34) + 1, 2, 2, false),
+    ];
+    let want_skipped = Counted::from([
+        ("events before the first time", 3),
+        ("empty vectors", 1),
+        ("triggers", 1),
+        ("other words", 1),
+        ("continued words", 1),
+        ("unknown words", 1),
+    ]);
+    for (order, lines) in [
+        (Order::Little, "% endianness little\n"),
+        (Order::UpperFirst, "% endianness legacy\n"),
+        (Order::Little, "% format EVT21;endianness=little\n"),
+        (
+            Order::UpperFirst,
+            "% format EVT21;endianness=legacy;height=480;width=640\n",
+        ),
+    ] {
+        let (events, skipped) = evt21(order, lines, &words);
+        assert_eq!(events, want_events, "{order:?} {lines}");
+        assert_eq!(skipped, want_skipped, "{order:?} {lines}");
+    }
+}
+
+/// Words of one column or of all of them, slow and fast: their order is found without a header's word.
+#[test]
+fn evt21_words_tell_their_order() {
+    for order in [Order::Little, Order::UpperFirst] {
+        for columns in [1, 1 << 31, 0x8000_0001, u32::MAX, 0x1080_0010] {
+            for step in [1, 16, 1 << 20] {
+                let mut words = Vec::new();
+                for i in 0..40 {
+                    words.push(time_word(7 + i * step));
+                    words.push(vector(i % 2, i % 64, i * 13 % 608, i * 37 % 480, columns));
+                }
+                let (events, skipped) = evt21(order, "", &words);
+                let first = u16::try_from(columns.trailing_zeros()).unwrap();
+                assert_eq!(
+                    events.first(),
+                    Some(&event(7 * 64, first, 0, false)),
+                    "{order:?} {columns:#x} {step}"
+                );
+                assert_eq!(events.len(), 40 * columns.count_ones() as usize);
+                assert!(skipped.is_empty());
+            }
+        }
+    }
+}
+
+#[test]
+fn evt4_words() {
+    let cd = |kind: u32, low: u32, x: u32, y: u32| kind << 28 | low << 22 | x << 11 | y;
+    let high = |high: u32| 0xe << 28 | high;
+    let (events, skipped) = evt4(&[
+        cd(0xb, 5, 1, 2),
+        cd(0xd, 5, 1, 2),
+        // Columns that look like a time.
+        0xe000_0001,
+        high(100),
+        cd(0xb, 5, 639, 479),
+        cd(0xa, 63, 0, 0),
+        cd(0xc, 1, 608, 7),
+        0x8000_0001,
+        cd(0xd, 2, 5, 6),
+        2,
+        cd(0xd, 2, 5, 6),
+        0,
+        0x9000_0001,
+        0x6000_0014,
+        0x7000_0000,
+        0xffff_ffff,
+        0x1000_0000,
+        high(0xfff_ffff),
+        cd(0xa, 0, 1, 1),
+        high(0),
+        cd(0xa, 1, 2, 2),
+    ]);
+    let want = [
+        event(6405, 639, 479, true),
+        event(6463, 0, 0, false),
+        event(6401, 608, 7, false),
+        event(6401, 639, 7, false),
+        event(6402, 6, 6, true),
+        event((1 << 34) - 64, 1, 1, false),
+        event((1 << 34) + 1, 2, 2, false),
+    ];
+    assert_eq!(events, want);
+    let want = Counted::from([
+        ("events before the first time", 5),
+        ("empty vectors", 1),
+        ("triggers", 1),
+        ("other words", 1),
+        ("continued words", 1),
+        ("padding", 1),
+        ("unknown words", 1),
+    ]);
+    assert_eq!(skipped, want);
+}
+
+#[test]
+fn evt4_that_ends_within_a_vector() {
+    let words = [0xe000_0001_u32, 0xb000_0000, 0xc000_0000];
+    let words = words.iter().flat_map(|word| word.to_le_bytes());
+    let header = b"% evt 4.0\n% geometry 640x480\n% end\n";
+    let bytes: Vec<u8> = header.iter().copied().chain(words).collect();
+    let length = bytes.len();
+    let mut reader = formats::open_source(Box::new(Cursor::new(bytes)), "test", None).unwrap();
+    let mut events = Vec::new();
+    assert_eq!(reader.read(&mut events).unwrap(), 1);
+    let error = reader.read(&mut events).unwrap_err().to_string();
+    assert!(
+        error.contains(&format!("byte {length}")) && error.contains("truncated"),
+        "{error}"
+    );
+}
+
+/// faery takes the first time off and says so.
+#[test]
+fn t0_is_added_to_every_time() {
+    let lines =
+        |version: &str| format!("% evt {version}\n% geometry 9x9\n% T0 5000000000\n% end\n");
+    let bytes = |words: &[u32]| -> Vec<u8> { words.iter().flat_map(|w| w.to_le_bytes()).collect() };
+    let evt21 = [time_word(2), vector(1, 5, 3, 4, 1)];
+    let evt21: Vec<u8> = evt21.iter().flat_map(|word| word.to_le_bytes()).collect();
+    let place = 5 << 22 | 3 << 11 | 4;
+    for (version, words) in [
+        ("2.0", bytes(&[0x8000_0002, 1 << 28 | place])),
+        ("2.1", evt21),
+        ("3.0", bytes(&[0x6085_8000, 0x2803_0004])),
+        ("4.0", bytes(&[0xe000_0002, 0xb << 28 | place])),
+    ] {
+        let (events, _) = read(&lines(version), &words);
+        assert_eq!(events, [event(5_000_000_133, 3, 4, true)], "{version}");
+    }
+    let text = lines("2.0").replace("5000000000", "soon");
+    let source = Box::new(Cursor::new(text.into_bytes()));
+    assert!(formats::open_source(source, "test", None).is_err());
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use eecvs_nostd::Sensor;
 use host_harness::recording_info::{RecordingInfo, info};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -69,6 +70,32 @@ fn evt2() {
 #[test]
 fn evt3() {
     check("imx636_sparse_evt3", "evt3.raw", "evt3");
+}
+
+/// The DAT file of the same events starts at another time.
+#[test]
+fn dat() {
+    check("imx636_sparse_dat", "gen4.dat", "dat");
+}
+
+/// N-CARS names no sensor size; the reference has that of its events.
+#[test]
+fn dat_without_a_size() {
+    let Some(reference) = reference() else { return };
+    let want = entry(&reference, "ncars");
+    let path = Path::new(SHARED).join("ncars/sample_ncars.dat");
+    let Err(error) = host_harness::formats::open(&path, None) else {
+        panic!("no size is known");
+    };
+    assert!(format!("{error:#}").contains("--width"), "{error:#}");
+    let side = |key: &str| u16::try_from(want[key].as_u64().expect("a number")).expect("a side");
+    let size = Sensor::new(side("width"), side("height"));
+    let info = info(&path, size, &mut |_| {}).expect("a readable recording");
+    assert_eq!(info.format, "dat");
+    check_counts(&info, want);
+    assert_eq!(want["t_first_us"], info.t_first_us.expect("events"));
+    assert_eq!(want["t_last_us"], info.t_last_us.expect("events"));
+    assert_eq!(want["sha256_events"], info.sha256_events);
 }
 
 #[test]

@@ -169,7 +169,7 @@ fn evt_gaps_of_days() {
         at(200_000_000_000),
     ];
     let folder = tempfile::tempdir().expect("a folder");
-    for extension in ["raw", "evt2"] {
+    for extension in ["raw", "evt2", "evt21", "evt4"] {
         let bytes = written(folder.path(), extension, sensor, &events);
         let (got, error) = read(&bytes, None);
         assert!(error.is_none(), "{error:?}");
@@ -226,7 +226,7 @@ fn what_a_format_cannot_hold_is_refused_by_name() {
             "{error}"
         );
     }
-    for extension in ["raw", "evt2", "aedat"] {
+    for extension in ["raw", "evt2", "evt21", "evt4", "aedat", "dat"] {
         let error = refused(&format!("s.{extension}"), &[at((1 << 62) + 5, 0)]);
         assert!(error.contains("event 0"), "{error}");
         let error = refused(&format!("b.{extension}"), &[at(1 << 40, 0), at(1 << 39, 0)]);
@@ -302,7 +302,16 @@ fn convert_filters_and_crops() {
         })
         .collect();
     assert!(!want.is_empty() && want.len() < events.len());
-    for name in ["out.aedat4", "out.raw", "out.evt2", "out.csv", "out.npz"] {
+    for name in [
+        "out.aedat4",
+        "out.raw",
+        "out.evt2",
+        "out.evt21",
+        "out.evt4",
+        "out.dat",
+        "out.csv",
+        "out.npz",
+    ] {
         let output = folder.path().join(name);
         let converted = convert(&input, &output, None, &of(filter)).expect("a conversion");
         let events_out = want.len() as u64;

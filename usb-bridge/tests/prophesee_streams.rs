@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 use host_harness::formats;
+use host_harness::formats::evt21_word::Order;
 use proptest::prelude::*;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use usb_bridge::device::prophesee::parse_evt3::Evt3Parser;
-use usb_bridge::device::prophesee::parse_evt21::{Evt21Parser, Order};
+use usb_bridge::device::prophesee::parse_evt21::Evt21Parser;
 use usb_bridge::device::prophesee::write_evt3::Evt3Stream;
 use usb_bridge::device::prophesee::write_evt21::Evt21Stream;
 use usb_bridge::device::{Parse, WriteStream};

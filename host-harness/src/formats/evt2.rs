@@ -4,19 +4,16 @@
 //! no events (triggers, vendor words) are skipped and counted; so is an event before the first
 //! `TIME_HIGH`, which has no time. There is no maintained crate for EVT 2.0.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use anyhow::Context;
 use eecvs_nostd::evt2::{Evt2Decoder as WordDecoder, Word};
 use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::raw_header::{self, RawHeader};
-use super::wrapping::Wrapping;
-use super::{EventWriter, Skipped, create_file};
+use super::raw_writer::RawWriter;
+use super::{EventWriter, Skipped};
 
 const TIME_HIGH: u32 = 0x8;
 const TIME_HIGH_BITS: u32 = 28;
@@ -58,12 +55,14 @@ impl Evt2Reader {
             return Err(input.error_at(0, "no EVT 2.0 header (% evt 2.0)"));
         }
         let sensor = header.sensor_or(size, &input)?;
+        let t0_us = header.t0_us(&input)?;
+        let base_us = header.time_base_us - header.time_base_us % PERIOD_US;
         Ok(Self::around(Evt2Decoder {
             input,
             words: Words::default(),
             sensor,
             camera: header.camera,
-            decoder: WordDecoder::new(header.time_base_us - header.time_base_us % PERIOD_US),
+            decoder: WordDecoder::new(base_us + t0_us),
             events: 0,
             skipped: Skipped::default(),
         }))
@@ -137,14 +136,7 @@ impl Decode for Evt2Decoder {
 /// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
 /// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
 /// `% time_base_us` carries what exceeds 34 bits, and other readers lose only that.
-pub struct Evt2Writer {
-    file: BufWriter<File>,
-    name: String,
-    sensor: Sensor,
-    /// `None` until the first event: the header needs its time.
-    high: Option<Wrapping>,
-    events: u64,
-}
+pub struct Evt2Writer(RawWriter);
 
 impl Evt2Writer {
     /// Creates the file.
@@ -152,79 +144,34 @@ impl Evt2Writer {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
-        Ok(Self {
-            file,
-            name,
-            sensor,
-            high: None,
-            events: 0,
-        })
-    }
-
-    fn header(&mut self, first_us: u64) -> anyhow::Result<Wrapping> {
-        if first_us > Wrapping::START_MAX {
-            anyhow::bail!(super::time_refused(
-                &self.name,
-                self.events,
-                first_us,
-                "EVT 2.0"
-            ));
-        }
-        let high = Wrapping::from_zero(TIME_HIGH_BITS, first_us >> TIME_LOW_BITS);
-        let base_us = high.base() << TIME_LOW_BITS;
-        let text = RawHeader::text(raw_header::Words::Evt2, self.sensor, base_us);
-        self.put(text.as_bytes())?;
-        Ok(high)
-    }
-
-    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
-        self.file
-            .write_all(bytes)
-            .with_context(|| format!("{}: cannot be written", self.name))
+        let bits = (TIME_HIGH_BITS, TIME_LOW_BITS);
+        RawWriter::create(path, sensor, raw_header::Words::Evt2, bits).map(Self)
     }
 }
 
 impl EventWriter for Evt2Writer {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         for event in events {
-            super::check_inside(&self.name, self.events, event, self.sensor)?;
-            let mut high = match self.high.take() {
-                Some(high) => high,
-                None => self.header(event.t_us)?,
-            };
-            let target = event.t_us >> TIME_LOW_BITS;
-            while high.last() != Some(target) {
-                let next = high.step(target).with_context(|| {
-                    super::time_refused(&self.name, self.events, event.t_us, "EVT 2.0")
-                })?;
-                // Below 2^28.
-                let low = high.low(next) as u32;
-                self.put(&(TIME_HIGH << 28 | low).to_le_bytes())?;
-            }
-            self.high = Some(high);
+            // Below 2^28.
+            let time = |high: u64| (TIME_HIGH << 28 | high as u32).to_le_bytes();
+            self.0.begin(std::slice::from_ref(event), time)?;
             let word = u32::from(event.polarity == Polarity::On) << 28
                 | ((event.t_us & 0x3f) as u32) << 22
                 | u32::from(event.x) << 11
                 | u32::from(event.y);
-            self.put(&word.to_le_bytes())?;
-            self.events += 1;
+            self.0.put(&word.to_le_bytes())?;
         }
         Ok(())
     }
 
-    fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
-        if self.events == 0 {
-            self.header(0)?;
-        }
-        self.file
-            .flush()
-            .with_context(|| format!("{}: cannot be written", self.name))
+    fn finish(self: Box<Self>) -> anyhow::Result<()> {
+        self.0.finish()
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::wrapping::Wrapping;
     use super::*;
     use proptest::prelude::*;
 

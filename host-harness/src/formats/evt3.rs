@@ -21,18 +21,16 @@
 //! words and events without a time uncounted; so this is our own decoder and `evt3` is its peer
 //! in the tests.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use anyhow::Context;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::raw_header::{self, RawHeader};
+use super::raw_writer::RawWriter;
 use super::wrapping::Wrapping;
-use super::{EventWriter, Skipped, create_file};
+use super::{EventWriter, Skipped};
 
 /// Type of a word that tells the row.
 pub const ADDR_Y: u16 = 0x0;
@@ -88,11 +86,13 @@ impl Evt3Reader {
             return Err(input.error_at(0, "no EVT 3.0 header (% evt 3.0)"));
         }
         let sensor = header.sensor_or(size, &input)?;
+        let t0_us = header.t0_us(&input)?;
         Ok(Self::around(Evt3Decoder {
             input,
             words: Words::default(),
             sensor,
             camera: header.camera,
+            t0_us,
             high: Wrapping::new(TIME_BITS, header.time_base_us >> TIME_BITS),
             low: 0,
             y: None,
@@ -109,6 +109,7 @@ pub struct Evt3Decoder {
     words: Words<2>,
     sensor: Sensor,
     camera: Option<String>,
+    t0_us: u64,
     /// Time bits 12 and up; without a value before the first `TIME_HIGH`.
     high: Wrapping,
     low: u16,
@@ -142,7 +143,7 @@ impl Evt3Decoder {
                 return Ok(());
             }
         };
-        let t_us = high << TIME_BITS | u64::from(self.low);
+        let t_us = (high << TIME_BITS | u64::from(self.low)) + self.t0_us;
         let mut left = bits;
         while left != 0 {
             let x = x + left.trailing_zeros();
@@ -210,7 +211,7 @@ impl Decode for Evt3Decoder {
                     // Most words, without the loop over a vector's bits.
                     (Some(high), Some(y)) if self.sensor.contains(coordinate, y) => {
                         batch.push(Event {
-                            t_us: high << TIME_BITS | u64::from(self.low),
+                            t_us: (high << TIME_BITS | u64::from(self.low)) + self.t0_us,
                             x: coordinate,
                             y,
                             polarity,
@@ -246,14 +247,9 @@ impl Decode for Evt3Decoder {
 /// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
 /// `% time_base_us` carries what exceeds 24 bits, and other readers lose only that.
 pub struct Evt3Writer {
-    file: BufWriter<File>,
-    name: String,
-    sensor: Sensor,
-    /// `None` until the first event: the header needs its time.
-    high: Option<Wrapping>,
+    raw: RawWriter,
     low: u16,
     y: Option<u16>,
-    events: u64,
 }
 
 impl Evt3Writer {
@@ -262,67 +258,16 @@ impl Evt3Writer {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
+        let bits = (TIME_BITS, TIME_BITS);
         Ok(Self {
-            file,
-            name,
-            sensor,
-            high: None,
+            raw: RawWriter::create(path, sensor, raw_header::Words::Evt3, bits)?,
             low: 0,
             y: None,
-            events: 0,
         })
     }
 
-    fn header(&mut self, first_us: u64) -> anyhow::Result<Wrapping> {
-        if first_us > Wrapping::START_MAX {
-            anyhow::bail!(super::time_refused(
-                &self.name,
-                self.events,
-                first_us,
-                "EVT 3.0"
-            ));
-        }
-        let high = Wrapping::from_zero(TIME_BITS, first_us >> TIME_BITS);
-        let base_us = high.base() << TIME_BITS;
-        let text = RawHeader::text(raw_header::Words::Evt3, self.sensor, base_us);
-        self.put(text.as_bytes())?;
-        Ok(high)
-    }
-
-    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
-        self.file
-            .write_all(bytes)
-            .with_context(|| format!("{}: cannot be written", self.name))
-    }
-
     fn word(&mut self, kind: u16, value: u16) -> anyhow::Result<()> {
-        self.put(&(kind << 12 | value).to_le_bytes())
-    }
-
-    /// Writes what makes a reader's time `t_us`.
-    fn time(&mut self, t_us: u64) -> anyhow::Result<()> {
-        let mut high = match self.high.take() {
-            Some(high) => high,
-            None => self.header(t_us)?,
-        };
-        let target = t_us >> TIME_BITS;
-        // Below 2^12.
-        let low = (t_us & 0xfff) as u16;
-        let new_high = high.last() != Some(target);
-        while high.last() != Some(target) {
-            let next = high
-                .step(target)
-                .with_context(|| super::time_refused(&self.name, self.events, t_us, "EVT 3.0"))?;
-            self.word(TIME_HIGH, high.low(next) as u16)?;
-        }
-        self.high = Some(high);
-        // Decoders differ in the low bits that follow a new TIME_HIGH: always say them.
-        if new_high || low != self.low {
-            self.word(TIME_LOW, low)?;
-            self.low = low;
-        }
-        Ok(())
+        self.raw.put(&(kind << 12 | value).to_le_bytes())
     }
 }
 
@@ -332,10 +277,15 @@ impl EventWriter for Evt3Writer {
         while let Some(first) = rest.first() {
             let (count, bits) = run(rest);
             let (now, later) = rest.split_at(count);
-            for (event, index) in now.iter().zip(self.events..) {
-                super::check_inside(&self.name, index, event, self.sensor)?;
+            // Below 2^12, as the lower bits.
+            let time = |high: u64| (TIME_HIGH << 12 | high as u16).to_le_bytes();
+            let new_high = self.raw.begin(now, time)?;
+            let low = (first.t_us & 0xfff) as u16;
+            // Decoders differ in the low bits that follow a new TIME_HIGH: always say them.
+            if new_high || low != self.low {
+                self.word(TIME_LOW, low)?;
+                self.low = low;
             }
-            self.time(first.t_us)?;
             if self.y != Some(first.y) {
                 self.word(ADDR_Y, first.y)?;
                 self.y = Some(first.y);
@@ -349,19 +299,13 @@ impl EventWriter for Evt3Writer {
                     self.word(ADDR_X, polarity | event.x)?;
                 }
             }
-            self.events += count as u64;
             rest = later;
         }
         Ok(())
     }
 
-    fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
-        if self.events == 0 {
-            self.header(0)?;
-        }
-        self.file
-            .flush()
-            .with_context(|| format!("{}: cannot be written", self.name))
+    fn finish(self: Box<Self>) -> anyhow::Result<()> {
+        self.raw.finish()
     }
 }
 

@@ -8,7 +8,9 @@ use eecvs_nostd::Sensor;
 
 use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
-use super::{EventReader, EventWriter, aedat2, aedat4, evt2, evt3, hdf5, npz, text};
+use super::{
+    EventReader, EventWriter, aedat2, aedat4, dat, evt2, evt3, evt4, evt21, hdf5, npz, text,
+};
 
 /// Bytes that a format is told by.
 const START_BYTES: usize = 4096;
@@ -18,7 +20,10 @@ pub const FORMATS: &[Format] = &[
     aedat4::FORMAT,
     aedat2::FORMAT,
     evt2::FORMAT,
+    evt21::FORMAT,
     evt3::FORMAT,
+    evt4::FORMAT,
+    dat::FORMAT,
     hdf5::FORMAT,
     npz::FORMAT,
     text::FORMAT,
@@ -215,7 +220,7 @@ fn unknown(start: &Start) -> anyhow::Error {
     if let Some(Err(other)) = words
         && !other.is_empty()
     {
-        return anyhow::anyhow!("{name}: byte 0: {other} is not known: record EVT2 or EVT3");
+        return anyhow::anyhow!("{name}: byte 0: {other} is not known: record EVT 2, 2.1, 3 or 4");
     }
     let known: Vec<&str> = FORMATS.iter().map(|format| format.title).collect();
     anyhow::anyhow!(
@@ -286,6 +291,9 @@ mod tests {
             ("a.raw", "evt3"),
             ("a.evt2.raw", "evt2"),
             ("a.EVT2", "evt2"),
+            ("a.evt21.raw", "evt21"),
+            ("a.evt4.raw", "evt4"),
+            ("a.dat", "dat"),
             ("a.aedat4", "aedat4"),
         ] {
             let path = folder.path().join(name);

@@ -115,6 +115,29 @@ impl Input {
         Ok(filled)
     }
 
+    /// Fills `bytes` from byte `offset` on, or as much of it as the source has there; returns how much. Reads
+    /// no more than that, as is good for a few bytes here and there, and goes on behind them.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn fill_at(&mut self, offset: u64, bytes: &mut [u8]) -> anyhow::Result<usize> {
+        // Unlike a relative one, this leaves nothing in the buffer.
+        let sought = self.reader.seek(SeekFrom::Start(offset));
+        sought.with_context(|| format!("{}: byte {offset}: cannot be sought", self.name))?;
+        self.offset = offset;
+        let mut filled = 0;
+        while let Some(free) = bytes.get_mut(filled..).filter(|free| !free.is_empty()) {
+            match self.reader.get_mut().read(free) {
+                Ok(0) => break,
+                Ok(n) => filled += n,
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(self.unreadable(error)),
+            }
+        }
+        self.offset += filled as u64;
+        Ok(filled)
+    }
+
     /// Appends the next line with its line feed, at most `cap` bytes, to `line`; returns how many
     /// bytes (0 at the end).
     ///

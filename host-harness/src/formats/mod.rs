@@ -7,10 +7,16 @@ pub mod aedat2;
 pub mod aedat4;
 mod aedat4_writer;
 pub mod ahead;
+pub mod dat;
+mod dat_times;
+mod dat_writer;
 mod decimal;
 mod event_numbers;
 pub mod evt2;
+pub mod evt21;
+pub mod evt21_word;
 pub mod evt3;
+pub mod evt4;
 mod flatbuffer;
 mod format;
 pub mod growing;
@@ -24,6 +30,7 @@ pub mod npz;
 mod npz_layout;
 mod npz_writer;
 pub mod raw_header;
+mod raw_writer;
 pub mod text;
 pub mod text_layout;
 mod text_writer;
@@ -39,6 +46,7 @@ use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
 pub use aedat4_writer::{Aedat4Writer, Compression};
+pub use dat_writer::DatWriter;
 pub use format::{FORMATS, Format, Limits, Opening, Start, create, open, open_source, writable};
 pub use npz_writer::NpzWriter;
 pub use text_writer::TextWriter;
@@ -66,8 +74,7 @@ impl Skipped {
 
 /// A recording being read, from its first event to its last; on a thread of its own, if need be.
 pub trait EventReader: Send {
-    /// Format name as `eecvs info` prints it: `aedat4`, `aedat2`, `evt2`, `evt3`, `text`, `npz`,
-    /// `hdf5`.
+    /// Format name as `eecvs info` prints it: [`Format::name`].
     fn format(&self) -> &'static str;
 
     /// Sensor size from the file's header, or from the caller where the format has none.

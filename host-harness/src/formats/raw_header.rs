@@ -1,4 +1,7 @@
-//! Header of Prophesee RAW files: text lines that begin with `% `.
+//! Header of Prophesee RAW and DAT files: text lines that begin with `% `.
+//!
+//! A RAW file names its words (`% evt`, `% format`); a DAT file never does, and says what it is by
+//! `% Data file containing` and `% Version`.
 
 use eecvs_nostd::Sensor;
 
@@ -18,8 +21,48 @@ const TIME_BASE_KEY: &str = "time_base_us";
 pub enum Words {
     /// 32-bit EVT 2.0.
     Evt2,
+    /// 64-bit EVT 2.1.
+    Evt21,
     /// 16-bit EVT 3.0.
     Evt3,
+    /// 32-bit EVT 4.0.
+    Evt4,
+}
+
+impl Words {
+    const ALL: [Self; 4] = [Self::Evt2, Self::Evt21, Self::Evt3, Self::Evt4];
+
+    /// Its name in messages.
+    #[must_use]
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Evt2 => "EVT 2.0",
+            Self::Evt21 => "EVT 2.1",
+            Self::Evt3 => "EVT 3.0",
+            Self::Evt4 => "EVT 4.0",
+        }
+    }
+
+    /// After `% evt`.
+    #[must_use]
+    pub const fn version(self) -> &'static str {
+        match self {
+            Self::Evt2 => "2.0",
+            Self::Evt21 => "2.1",
+            Self::Evt3 => "3.0",
+            Self::Evt4 => "4.0",
+        }
+    }
+
+    /// After `% format`, in capitals.
+    const fn format(self) -> &'static str {
+        match self {
+            Self::Evt2 => "EVT2",
+            Self::Evt21 => "EVT21",
+            Self::Evt3 => "EVT3",
+            Self::Evt4 => "EVT4",
+        }
+    }
 }
 
 /// A parsed header; the input stands at the first word.
@@ -34,6 +77,17 @@ pub struct RawHeader {
     pub time_base_us: u64,
     /// From `% plugin_name`, else from `% integrator_name`.
     pub camera: Option<String>,
+    /// From `% endianness` or `% format EVT21;endianness=...`, in small letters: the order of a word's
+    /// bytes.
+    pub endianness: Option<String>,
+    /// What `% Data file containing` names: a DAT file.
+    pub data: Option<String>,
+    /// From `% Version`: a DAT file's.
+    pub version: Option<String>,
+    /// After `% T0`, which faery writes: see [`RawHeader::t0_us`].
+    pub t0: Option<String>,
+    /// Bytes up to the first that is not of the header.
+    pub length: u64,
 }
 
 impl RawHeader {
@@ -67,18 +121,31 @@ impl RawHeader {
     /// Text of a header that [`RawHeader::read`] reads back and other readers accept.
     pub fn text(words: Words, sensor: Sensor, time_base_us: u64) -> String {
         let Sensor { width, height } = sensor;
-        let (evt, format) = match words {
-            Words::Evt2 => ("2.0", "EVT2"),
-            Words::Evt3 => ("3.0", "EVT3"),
+        let (evt, format) = (words.version(), words.format());
+        let (option, line) = match words {
+            Words::Evt21 => (";endianness=little", "% endianness little\n"),
+            _ => ("", ""),
         };
         let mut text = format!(
-            "% evt {evt}\n% format {format};height={height};width={width}\n\
+            "{line}% evt {evt}\n% format {format}{option};height={height};width={width}\n\
              % geometry {width}x{height}\n% integrator_name EECVS\n"
         );
         if time_base_us > 0 {
             text += &format!("% {TIME_BASE_KEY} {time_base_us}\n");
         }
         text + "% end\n"
+    }
+
+    /// Microseconds that the header has added to every time: what faery takes off when it writes.
+    ///
+    /// # Errors
+    /// No number, or one above 2^60: every time would be another, in silence.
+    pub fn t0_us(&self, input: &Input) -> anyhow::Result<u64> {
+        match self.t0.as_deref().map(str::parse) {
+            None => Ok(0),
+            Some(Ok(t0_us)) if t0_us <= Wrapping::START_MAX => Ok(t0_us),
+            Some(_) => Err(input.error_at(0, "% T0 is no time of at most 2^60 us")),
+        }
     }
 
     /// The sensor's size, or `size` where the header tells none.
@@ -113,6 +180,10 @@ struct Fields {
     plugin: Option<String>,
     integrator: Option<String>,
     time_base_us: u64,
+    endianness: Option<String>,
+    data: Option<String>,
+    version: Option<String>,
+    t0: Option<String>,
 }
 
 impl Fields {
@@ -154,6 +225,10 @@ impl Fields {
                     self.named = self.named.or(Some((320, 320)));
                 }
             }
+            "endianness" => self.endianness = Some(value.to_ascii_lowercase()),
+            "data" => self.data = value.strip_prefix("file containing").map(str::to_owned),
+            "version" => self.version = Some(value.to_owned()),
+            "t0" => self.t0 = Some(value.to_owned()),
             TIME_BASE_KEY => self.time_base_us = value.parse().unwrap_or(0),
             _ => {}
         }
@@ -163,16 +238,22 @@ impl Fields {
         match key {
             "width" => self.width = value.parse().ok().or(self.width),
             "height" => self.height = value.parse().ok().or(self.height),
+            "endianness" => self.endianness = Some(value.to_ascii_lowercase()),
             _ => {}
         }
     }
 
     fn into_header(self, input: &Input) -> anyhow::Result<RawHeader> {
+        let named = |is_named: &dyn Fn(Words) -> bool| {
+            Words::ALL.into_iter().find(|words| is_named(*words))
+        };
         let words = match (self.evt.as_deref(), self.format.as_deref()) {
-            (_, Some("EVT2")) | (Some("2.0"), None) => Ok(Words::Evt2),
-            (_, Some("EVT3")) | (Some("3.0"), None) => Ok(Words::Evt3),
-            (_, Some(other)) => Err(other.to_owned()),
-            (Some(other), None) => Err(format!("EVT {other}")),
+            (_, Some(name)) => {
+                named(&|words| words.format() == name).ok_or_else(|| name.to_owned())
+            }
+            (Some(version), None) => {
+                named(&|words| words.version() == version).ok_or_else(|| format!("EVT {version}"))
+            }
             (None, None) => Err(String::new()),
         };
         let size = self.width.zip(self.height).or(self.named);
@@ -195,6 +276,11 @@ impl Fields {
             sensor: sensor.transpose()?,
             time_base_us,
             camera,
+            endianness: self.endianness,
+            data: self.data,
+            version: self.version,
+            t0: self.t0,
+            length: input.offset(),
         })
     }
 }
@@ -213,7 +299,7 @@ mod tests {
 
     #[test]
     fn sizes_of_every_style() {
-        let cases: [(&[u8], Words, (u16, u16)); 6] = [
+        let cases: [(&[u8], Words, (u16, u16)); 8] = [
             (
                 b"% evt 3.0\n% geometry 320x240\n% end\n",
                 Words::Evt3,
@@ -240,6 +326,12 @@ mod tests {
                 (1280, 720),
             ),
             (b"% evt 3.0\r\n% geometry 4x5\r\n", Words::Evt3, (4, 5)),
+            (
+                b"% format EVT21;endianness=legacy;height=720;width=1280\n% end\n",
+                Words::Evt21,
+                (1280, 720),
+            ),
+            (b"% evt 4.0\n% geometry 4x5\n% end\n", Words::Evt4, (4, 5)),
         ];
         for (bytes, words, (width, height)) in cases {
             let (header, offset) = parse(bytes);
@@ -258,12 +350,34 @@ mod tests {
     }
 
     #[test]
+    fn orders_of_a_words_bytes() {
+        for (bytes, endianness) in [
+            (&b"% evt 2.1\n% end\n"[..], None),
+            (b"% format EVT21;endianness=Legacy\n", Some("legacy")),
+            (b"% endianness little\n% evt 2.1\n", Some("little")),
+        ] {
+            assert_eq!(parse(bytes).0.endianness.as_deref(), endianness);
+        }
+    }
+
+    #[test]
+    fn a_dat_file_names_no_words() {
+        let (header, offset) =
+            parse(b"% Data file containing CD events.\n% Version 2\n% T0 17\n\x0c\x08");
+        assert_eq!(header.words, Err(String::new()));
+        assert_eq!(header.data.as_deref(), Some(" CD events."));
+        assert_eq!(header.version.as_deref(), Some("2"));
+        assert_eq!(header.t0.as_deref(), Some("17"));
+        assert_eq!((header.length, offset), (54, 54));
+    }
+
+    #[test]
     fn written_text_reads_back() {
         let sensor = Sensor {
             width: 346,
             height: 260,
         };
-        for words in [Words::Evt2, Words::Evt3] {
+        for words in Words::ALL {
             let (header, _) = parse(RawHeader::text(words, sensor, 1 << 34).as_bytes());
             assert_eq!(header.words, Ok(words));
             assert_eq!(header.sensor, Some(sensor));

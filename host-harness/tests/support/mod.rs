@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 /// Every extension that can be written, and a sensor that its format can hold.
 #[allow(dead_code, reason = "not every test file writes recordings")]
-pub const FORMATS: [(&str, Sensor); 8] = [
+pub const FORMATS: [(&str, Sensor); 12] = [
     (
         "aedat4",
         Sensor {
@@ -40,6 +40,34 @@ pub const FORMATS: [(&str, Sensor); 8] = [
     ),
     (
         "raw",
+        Sensor {
+            width: 1280,
+            height: 720,
+        },
+    ),
+    (
+        "evt21.raw",
+        Sensor {
+            width: 346,
+            height: 260,
+        },
+    ),
+    (
+        "evt4.raw",
+        Sensor {
+            width: 346,
+            height: 260,
+        },
+    ),
+    (
+        "evt4",
+        Sensor {
+            width: 17,
+            height: 2048,
+        },
+    ),
+    (
+        "dat",
         Sensor {
             width: 1280,
             height: 720,

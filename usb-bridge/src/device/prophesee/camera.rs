@@ -3,7 +3,8 @@
 
 use std::collections::HashMap;
 
-use super::parse_evt21::Order;
+use host_harness::formats::evt21_word::Order;
+
 use super::registers::{CHIP, FORMAT, FORMAT_EVT21, PIXELS_GO, READOUT, TIME_BASE};
 use super::sensor::{Chip, STREAMER};
 use super::treuzell::{

@@ -29,13 +29,14 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::{Event, Sensor};
+use host_harness::formats::evt21_word::Order;
 
 use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
 use crate::link::control::{Control, Request};
 use crate::peripheral::Peripheral;
 use camera::TreuzellCamera;
 use parse_evt3::Evt3Parser;
-use parse_evt21::{Evt21Parser, Order};
+use parse_evt21::Evt21Parser;
 use sensor::{Chip, Found};
 use treuzell::Board;
 use write_evt3::Evt3Stream;

@@ -1,62 +1,17 @@
-//! EVT 2.1 as it comes from a camera: words of 64 bits with up to 32 events each.
+//! EVT 2.1 as it comes from a camera, in the words of [`host_harness::formats::evt21_word`].
 //!
-//! | bits | of 0 `EVT_NEG` and 1 `EVT_POS` | of 8 `EVT_TIME_HIGH` |
-//! |---|---|---|
-//! | 63..60 | type | type |
-//! | 59..54 | time bits 5..0 | time bits 33..6 in 59..32 |
-//! | 53..43, 42..32 | first x, y | |
-//! | 31..0 | bit i: an event at x + i | unused |
-//!
-//! Other types: A `EXT_TRIGGER`, E `OTHERS`, F `CONTINUED`. [`Order`] tells how a word's bytes come.
 //! The wraps of time, every 4.8 hours, are those of `high_time.rs`. After a break events come again with the
 //! next `EVT_TIME_HIGH`.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 use host_harness::formats::Skipped;
+use host_harness::formats::evt21_word::{
+    HIGH_BITS, LOW_BITS, Order, SIDE, TIME_HIGH, TIME_SHIFT, TYPE_SHIFT, X_SHIFT, Y_SHIFT,
+    time_high,
+};
 
 use super::high_time::HighTime;
 use crate::device::Parse;
-
-pub(super) const TIME_HIGH: u64 = 8;
-/// Bits of a `EVT_TIME_HIGH`.
-pub(super) const HIGH_BITS: u32 = 28;
-/// Time bits of a word with events.
-pub(super) const LOW_BITS: u32 = 6;
-pub(super) const TYPE_SHIFT: u32 = 60;
-pub(super) const TIME_SHIFT: u32 = 54;
-pub(super) const X_SHIFT: u32 = 43;
-pub(super) const Y_SHIFT: u32 = 32;
-const SIDE: u64 = 0x7ff;
-
-/// How the eight bytes of a word come.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
-    /// The upper half first, each half little-endian: IMX636 and Gen 4.1.
-    UpperFirst,
-    /// The whole word little-endian: GenX320.
-    Little,
-}
-
-impl Order {
-    /// A word from its bytes.
-    #[inline]
-    pub(super) const fn word(self, bytes: [u8; 8]) -> u64 {
-        let word = u64::from_le_bytes(bytes);
-        match self {
-            Self::UpperFirst => word.rotate_left(32),
-            Self::Little => word,
-        }
-    }
-
-    /// The bytes of a word.
-    pub(super) const fn bytes(self, word: u64) -> [u8; 8] {
-        match self {
-            Self::UpperFirst => word.rotate_left(32),
-            Self::Little => word,
-        }
-        .to_le_bytes()
-    }
-}
 
 /// Parser of EVT 2.1.
 pub struct Evt21Parser {
@@ -189,8 +144,7 @@ impl Evt21Parser {
         match word >> TYPE_SHIFT {
             TIME_HIGH => {
                 self.times += 1;
-                let high = word >> Y_SHIFT & ((1 << HIGH_BITS) - 1);
-                self.high_us = Some(self.high.extend(high) << LOW_BITS);
+                self.high_us = Some(self.high.extend(time_high(word)) << LOW_BITS);
             }
             0xa => self.words.add("triggers", 1),
             0xe => self.words.add("other words", 1),

@@ -2,9 +2,9 @@
 
 use anyhow::{Result, bail, ensure};
 use eecvs_nostd::Sensor;
+use host_harness::formats::evt21_word::Order;
 
 use super::Format;
-use super::parse_evt21::Order;
 use super::registers::{self, CHIP, FORMAT, FORMAT_EVT21, Sequences, Step, VARIANT, take};
 use super::registers_evk2::{EVK2_IMX636, SENSOR};
 use super::treuzell::{self, Board};

@@ -5,12 +5,10 @@
 //! polarity in rising columns of one group of 32 are one word. The order of events is kept.
 
 use anyhow::{Context, Result};
-use eecvs_nostd::{Event, Polarity, Sensor};
+use eecvs_nostd::{Event, Sensor};
+use host_harness::formats::evt21_word::{HIGH_BITS, LOW_BITS, Order, time_word, vector};
 
 use super::high_time::Way;
-use super::parse_evt21::{
-    HIGH_BITS, LOW_BITS, Order, TIME_HIGH, TIME_SHIFT, TYPE_SHIFT, X_SHIFT, Y_SHIFT,
-};
 use crate::device::WriteStream;
 
 /// `EVT_TIME_HIGH`s from one to the next in a silence, and those of the longest such silence.
@@ -42,25 +40,18 @@ impl WriteStream for Evt21Stream {
         let order = self.order;
         let mut rest = events;
         while let Some(first) = rest.first() {
-            let (count, columns) = run(rest);
+            let (count, word) = vector(rest);
             let (now, later) = rest.split_at(count);
             for (event, index) in now.iter().zip(self.events..) {
                 super::check_inside(index, event, self.sensor)?;
             }
             let high = first.t_us >> LOW_BITS;
             if self.high.last() != Some(high) {
-                let time = |high| {
-                    bytes.extend(order.bytes(TIME_HIGH << TYPE_SHIFT | high << Y_SHIFT));
-                };
+                let time = |high| bytes.extend(order.bytes(time_word(high)));
                 let gone = self.high.go(high, SILENCE, time);
                 gone.ok()
                     .with_context(|| super::time_refused(self.events, first.t_us))?;
             }
-            let word = u64::from(first.polarity == Polarity::On) << TYPE_SHIFT
-                | (first.t_us & ((1 << LOW_BITS) - 1)) << TIME_SHIFT
-                | u64::from(first.x & !31) << X_SHIFT
-                | u64::from(first.y) << Y_SHIFT
-                | u64::from(columns);
             bytes.extend(order.bytes(word));
             self.events += count as u64;
             rest = later;
@@ -73,28 +64,10 @@ impl WriteStream for Evt21Stream {
     }
 }
 
-/// Number of events at the start of `events` that one word can hold in their order, and its columns.
-fn run(events: &[Event]) -> (usize, u32) {
-    let Some(first) = events.first() else {
-        return (0, 0);
-    };
-    let group = |event: &Event| (event.t_us, event.y, event.polarity, event.x / 32);
-    let mut columns = 1_u32 << (first.x % 32);
-    let mut count = 1;
-    for event in &events[1..] {
-        let column = event.x % 32;
-        // Above all that are there.
-        if group(event) != group(first) || columns >> column != 0 {
-            break;
-        }
-        columns |= 1 << column;
-        count += 1;
-    }
-    (count, columns)
-}
-
 #[cfg(test)]
 mod tests {
+    use eecvs_nostd::Polarity;
+
     use super::*;
 
     #[test]
@@ -137,15 +110,5 @@ mod tests {
             [upper.to_le_bytes(), lower.to_le_bytes()].concat()
         });
         assert_eq!(words(Order::UpperFirst), halves.collect::<Vec<_>>());
-    }
-
-    /// The example of the format's description.
-    #[test]
-    fn the_upper_half_comes_first() {
-        let word = 0x0102_0304_0506_0708;
-        let bytes = [4, 3, 2, 1, 8, 7, 6, 5];
-        assert_eq!(Order::UpperFirst.bytes(word), bytes);
-        assert_eq!(Order::UpperFirst.word(bytes), word);
-        assert_eq!(Order::Little.word(Order::Little.bytes(word)), word);
     }
 }
