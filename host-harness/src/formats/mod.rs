@@ -22,6 +22,7 @@ pub mod npz;
 mod npz_layout;
 mod npz_writer;
 pub mod raw_header;
+pub mod ros;
 pub mod text;
 pub mod text_layout;
 mod text_writer;
@@ -64,8 +65,7 @@ impl Skipped {
 
 /// A recording being read, from its first event to its last; on a thread of its own, if need be.
 pub trait EventReader: Send {
-    /// Format name as `eecvs info` prints it: `aedat4`, `aedat2`, `evt2`, `evt3`, `text`, `npz`,
-    /// `hdf5`.
+    /// Format name as `eecvs info` prints it, one of [`FORMATS`].
     fn format(&self) -> &'static str;
 
     /// Sensor size from the file's header, or from the caller where the format has none.
