@@ -124,6 +124,21 @@ fn aedat4() {
 }
 
 #[test]
+fn rosbag() {
+    check("gen31_vga_rosbag_moderate", "test_events_1.bag", "rosbag");
+}
+
+#[cfg(feature = "db3")]
+#[test]
+fn rosbag2_db3() {
+    check(
+        "gen31_vga_rosbag_moderate",
+        "test_events_1.db3",
+        "rosbag2_db3",
+    );
+}
+
+#[test]
 fn csv() {
     check("es_csv_1ms_grid", "dvs.csv", "text");
 }

@@ -50,7 +50,7 @@ pub const TIME_HIGH: u16 = 0x8;
 pub const TIME_BITS: u32 = 12;
 
 /// Events that one word can hold.
-const VECTOR_EVENTS: usize = 12;
+pub(super) const VECTOR_EVENTS: usize = 12;
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -86,18 +86,13 @@ impl Evt3Reader {
             return Err(input.error_at(0, "no EVT 3.0 header (% evt 3.0)"));
         }
         let sensor = header.sensor_or(size, &input)?;
-        let t0_us = header.t0_us(&input)?;
+        let mut decoder = WordDecoder::new(sensor, header.time_base_us);
+        decoder.t0_us = header.t0_us(&input)?;
         Ok(Self::around(Evt3Decoder {
             input,
             words: Words::default(),
-            sensor,
             camera: header.camera,
-            t0_us,
-            high: Wrapping::new(TIME_BITS, header.time_base_us >> TIME_BITS),
-            low: 0,
-            y: None,
-            base: None,
-            events: 0,
+            decoder,
             skipped: Skipped::default(),
         }))
     }
@@ -107,21 +102,84 @@ impl Evt3Reader {
 pub struct Evt3Decoder {
     input: Input,
     words: Words<2>,
-    sensor: Sensor,
     camera: Option<String>,
-    t0_us: u64,
+    decoder: WordDecoder,
+    skipped: Skipped,
+}
+
+impl Decode for Evt3Decoder {
+    fn format(&self) -> &'static str {
+        "evt3"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.decoder.sensor
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.camera.as_deref()
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        while batch.room() >= VECTOR_EVENTS {
+            let Some(word) = self.words.next(&mut self.input)? else {
+                break;
+            };
+            let word = u16::from_le_bytes(word);
+            if let Err(Outside { x, y }) = self.decoder.decode(word, batch, &mut self.skipped) {
+                let offset = self.words.offset(&self.input);
+                let WordDecoder { events, sensor, .. } = self.decoder;
+                return Err(self.input.outside(offset, events, x, y, sensor));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// An event that lies outside of the sensor.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Outside {
+    /// Its column.
+    pub x: i64,
+    /// Its row.
+    pub y: i64,
+}
+
+/// What words have said so far, wherever they come from.
+#[derive(Debug)]
+pub(super) struct WordDecoder {
+    sensor: Sensor,
     /// Time bits 12 and up; without a value before the first `TIME_HIGH`.
     high: Wrapping,
     low: u16,
+    /// Added to every time.
+    t0_us: u64,
     y: Option<u16>,
     /// First x of the next vector and its polarity. x may run past the sensor, where a vector
     /// must be empty.
     base: Option<(u32, Polarity)>,
-    events: u64,
-    skipped: Skipped,
+    /// Events given so far.
+    pub events: u64,
 }
 
-impl Evt3Decoder {
+impl WordDecoder {
+    /// Begins in the period of time that holds `start_us`.
+    pub fn new(sensor: Sensor, start_us: u64) -> Self {
+        Self {
+            sensor,
+            high: Wrapping::new(TIME_BITS, start_us >> TIME_BITS),
+            low: 0,
+            t0_us: 0,
+            y: None,
+            base: None,
+            events: 0,
+        }
+    }
+
     /// Emits the events at `x + i` for every bit i of `bits`.
     fn emit(
         &mut self,
@@ -129,17 +187,16 @@ impl Evt3Decoder {
         bits: u16,
         polarity: Polarity,
         batch: &mut Batch<'_>,
-    ) -> anyhow::Result<()> {
+        skipped: &mut Skipped,
+    ) -> Result<(), Outside> {
         let (high, y) = match (self.high.last(), self.y) {
             (Some(high), Some(y)) => (high, y),
             (None, _) => {
-                self.skipped
-                    .add("events before the first time", u64::from(bits.count_ones()));
+                skipped.add("events before the first time", u64::from(bits.count_ones()));
                 return Ok(());
             }
             (_, None) => {
-                self.skipped
-                    .add("events before the first row", u64::from(bits.count_ones()));
+                skipped.add("events before the first row", u64::from(bits.count_ones()));
                 return Ok(());
             }
         };
@@ -158,9 +215,8 @@ impl Evt3Decoder {
                     });
                 }
                 _ => {
-                    let offset = self.words.offset(&self.input);
                     let (x, y) = (i64::from(x), i64::from(y));
-                    return Err(self.input.outside(offset, self.events, x, y, self.sensor));
+                    return Err(Outside { x, y });
                 }
             }
             self.events += 1;
@@ -168,74 +224,63 @@ impl Evt3Decoder {
         Ok(())
     }
 
-    fn vector(&mut self, bits: u16, width: u32, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+    fn vector(
+        &mut self,
+        bits: u16,
+        width: u32,
+        batch: &mut Batch<'_>,
+        skipped: &mut Skipped,
+    ) -> Result<(), Outside> {
         let Some((x, polarity)) = self.base else {
-            self.skipped.add(
+            skipped.add(
                 "events before the first column",
                 u64::from(bits.count_ones()),
             );
             return Ok(());
         };
         self.base = Some((x.saturating_add(width), polarity));
-        self.emit(x, bits, polarity, batch)
-    }
-}
-
-impl Decode for Evt3Decoder {
-    fn format(&self) -> &'static str {
-        "evt3"
+        self.emit(x, bits, polarity, batch, skipped)
     }
 
-    fn sensor(&self) -> Sensor {
-        self.sensor
-    }
-
-    fn camera(&self) -> Option<&str> {
-        self.camera.as_deref()
-    }
-
-    fn skipped(&self) -> &Skipped {
-        &self.skipped
-    }
-
-    fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
-        while batch.room() >= VECTOR_EVENTS {
-            let Some(word) = self.words.next(&mut self.input)? else {
-                break;
-            };
-            let word = u16::from_le_bytes(word);
-            let (value, coordinate) = (word & 0xfff, word & 0x7ff);
-            let polarity = Polarity::from_bool(word & 0x800 != 0);
-            match word >> 12 {
-                ADDR_X => match (self.high.last(), self.y) {
-                    // Most words, without the loop over a vector's bits.
-                    (Some(high), Some(y)) if self.sensor.contains(coordinate, y) => {
-                        batch.push(Event {
-                            t_us: (high << TIME_BITS | u64::from(self.low)) + self.t0_us,
-                            x: coordinate,
-                            y,
-                            polarity,
-                        });
-                        self.events += 1;
-                    }
-                    _ => self.emit(u32::from(coordinate), 1, polarity, batch)?,
-                },
-                ADDR_Y => self.y = Some(coordinate),
-                TIME_LOW => self.low = value,
-                TIME_HIGH => {
-                    let previous = self.high.last();
-                    if Some(self.high.extend(u64::from(value))) != previous {
-                        self.low = 0;
-                    }
+    /// Takes the next word; the batch must have room for the [`VECTOR_EVENTS`] of a vector.
+    #[inline]
+    pub fn decode(
+        &mut self,
+        word: u16,
+        batch: &mut Batch<'_>,
+        skipped: &mut Skipped,
+    ) -> Result<(), Outside> {
+        let (value, coordinate) = (word & 0xfff, word & 0x7ff);
+        let polarity = Polarity::from_bool(word & 0x800 != 0);
+        match word >> 12 {
+            ADDR_X => match (self.high.last(), self.y) {
+                // Most words, without the loop over a vector's bits.
+                (Some(high), Some(y)) if self.sensor.contains(coordinate, y) => {
+                    batch.push(Event {
+                        t_us: (high << TIME_BITS | u64::from(self.low)) + self.t0_us,
+                        x: coordinate,
+                        y,
+                        polarity,
+                    });
+                    self.events += 1;
                 }
-                VECT_BASE_X => self.base = Some((u32::from(coordinate), polarity)),
-                VECT_12 => self.vector(value, 12, batch)?,
-                VECT_8 => self.vector(value & 0xff, 8, batch)?,
-                0xa => self.skipped.add("triggers", 1),
-                0x7 | 0xf => self.skipped.add("continued words", 1),
-                0xe => self.skipped.add("other words", 1),
-                _ => self.skipped.add("unknown words", 1),
+                _ => self.emit(u32::from(coordinate), 1, polarity, batch, skipped)?,
+            },
+            ADDR_Y => self.y = Some(coordinate),
+            TIME_LOW => self.low = value,
+            TIME_HIGH => {
+                let previous = self.high.last();
+                if Some(self.high.extend(u64::from(value))) != previous {
+                    self.low = 0;
+                }
             }
+            VECT_BASE_X => self.base = Some((u32::from(coordinate), polarity)),
+            VECT_12 => self.vector(value, 12, batch, skipped)?,
+            VECT_8 => self.vector(value & 0xff, 8, batch, skipped)?,
+            0xa => skipped.add("triggers", 1),
+            0x7 | 0xf => skipped.add("continued words", 1),
+            0xe => skipped.add("other words", 1),
+            _ => skipped.add("unknown words", 1),
         }
         Ok(())
     }

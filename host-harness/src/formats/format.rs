@@ -9,7 +9,7 @@ use eecvs_nostd::Sensor;
 use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
 use super::{
-    EventReader, EventWriter, aedat2, aedat4, dat, evt2, evt3, evt4, evt21, hdf5, npz, text,
+    EventReader, EventWriter, aedat2, aedat4, dat, evt2, evt3, evt4, evt21, hdf5, npz, ros, text,
 };
 
 /// Bytes that a format is told by.
@@ -26,6 +26,9 @@ pub const FORMATS: &[Format] = &[
     dat::FORMAT,
     hdf5::FORMAT,
     npz::FORMAT,
+    ros::bag::FORMAT,
+    ros::db3::FORMAT,
+    ros::mcap::FORMAT,
     text::FORMAT,
 ];
 
@@ -115,6 +118,8 @@ pub struct Opening<'a> {
     pub source: Box<dyn ReadSeek>,
     /// What messages call it.
     pub name: &'a str,
+    /// Where the file is, unless it is bytes in memory.
+    pub path: Option<&'a Path>,
     /// Where in the file the events are, if that was told: never but where [`Format::has_places`].
     pub place: Option<&'a str>,
     /// The sensor's size, where it is known from elsewhere.
@@ -123,7 +128,8 @@ pub struct Opening<'a> {
 
 /// Opens a recording, its format found by content; `size` is used where the file has none.
 ///
-/// A dataset or group of an HDF5 file is named behind it: `FILE.hdf5/davis/right/events`.
+/// A dataset or group of an HDF5 file is named behind it: `FILE.hdf5/davis/right/events`; so is a topic
+/// of a bag of ROS. A folder with a `metadata.yaml` is a bag of ROS 2.
 ///
 /// # Errors
 /// Unknown format, unreadable file, damaged header.
@@ -135,22 +141,27 @@ pub fn open(path: &Path, size: Option<Sensor>) -> anyhow::Result<Box<dyn EventRe
     };
     let name = file.display().to_string();
     let metadata = std::fs::metadata(file).with_context(|| format!("{name}: cannot be opened"))?;
-    anyhow::ensure!(
-        !metadata.is_dir(),
-        "{name}: is a directory, not a recording"
-    );
+    if metadata.is_dir() {
+        return Ok(Box::new(ros::folder::open(file, place, size)?));
+    }
     let source = File::open(file).with_context(|| format!("{name}: cannot be opened"))?;
     open_place(Opening {
         source: Box::new(source),
         name: &name,
+        path: Some(file),
         place,
         size,
     })
 }
 
-/// The file and the rest of a path that leads into a file.
+/// The file, or folder of a bag, and the rest of a path that leads into it.
 fn place_inside(path: &Path) -> Option<(&Path, String)> {
-    let file = path.ancestors().skip(1).find(|file| file.is_file())?;
+    let is_bag = |folder: &Path| folder.join(ros::folder::METADATA).is_file();
+    if path.exists() {
+        return None;
+    }
+    let mut above = path.ancestors().skip(1);
+    let file = above.find(|above| above.is_file() || is_bag(above))?;
     let rest = path.strip_prefix(file).ok()?;
     let names: Option<Vec<&str>> = rest.iter().map(|name| name.to_str()).collect();
     Some((file, names?.join("/")))
@@ -168,6 +179,7 @@ pub fn open_source(
     open_place(Opening {
         source,
         name,
+        path: None,
         place: None,
         size,
     })

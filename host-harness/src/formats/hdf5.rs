@@ -36,6 +36,7 @@ pub const FORMAT: Format = Format {
                name,
                place,
                size,
+               ..
            }| Ok(Box::new(Hdf5Reader::new(source, name, place, size)?)),
     has_places: true,
     grows: false,

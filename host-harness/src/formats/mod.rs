@@ -31,6 +31,7 @@ mod npz_layout;
 mod npz_writer;
 pub mod raw_header;
 mod raw_writer;
+pub mod ros;
 pub mod text;
 pub mod text_layout;
 mod text_writer;

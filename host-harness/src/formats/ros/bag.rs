@@ -1,0 +1,211 @@
+//! Bags of ROS 1, version 2.0 (`.bag`), by the ROS wiki's "Bags/Format/2.0".
+//!
+//! `#ROSBAG V2.0\n`, then records: u32 length of the header, the header (fields of u32 length,
+//! `name=value`), u32 length of the data, the data; little-endian. The field `op` tells a record:
+//! 2 message (`conn`, `time`), 3 bag header, 4 index of a chunk, 5 chunk (`compression`: none, lz4
+//! frames or bz2; `size` when decompressed) whose data is records, 6 chunk info, 7 connection
+//! (`conn`, `topic`, and in the data `type`).
+//!
+//! Records are read one after the other, so that a bag that was never closed (`.bag.active`) or cut
+//! off is read as far as it goes; indexes are passed over. The reader holds a message and, where it is
+//! compressed, a chunk. The crates of this format (`rosbag`, `rosrust_msg`) hold the file in memory
+//! and read no damaged ones.
+
+use eecvs_nostd::Sensor;
+
+use super::chunk::Chunked;
+use super::decoder::{Messages, RosReader, Uses};
+use super::fields::Serialisation;
+use super::message::Kind;
+use super::topics::{Topics, Use};
+use crate::formats::Skipped;
+use crate::formats::format::{Format, Limits, Opening};
+use crate::formats::input::{Input, ReadSeek};
+
+/// First bytes of every bag.
+pub const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
+
+/// Longest header of a record.
+const HEADER_MAX: u32 = 1 << 16;
+
+/// Longest data of a connection record: definitions of messages have a few kB.
+const CONNECTION_MAX: u32 = 1 << 20;
+
+/// Most connections: memory for each is kept.
+const CONNECTIONS_MAX: usize = 1 << 16;
+
+const MESSAGE: u8 = 2;
+const CHUNK: u8 = 5;
+const CONNECTION: u8 = 7;
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "rosbag",
+    title: "ROS 1 bag",
+    endings: &[".bag"],
+    detect: |start| start.begins(MAGIC),
+    open: |opening| {
+        let Opening {
+            name, place, size, ..
+        } = opening;
+        Ok(Box::new(open(opening.source, name, place, size)?))
+    },
+    has_places: true,
+    grows: true,
+    limits: Limits::NONE,
+    create: None,
+};
+
+/// Reads the bag `source`, which messages call `name`, as [`RosReader::new`].
+///
+/// # Errors
+/// As [`RosReader::new`].
+pub fn open(
+    source: Box<dyn ReadSeek>,
+    name: &str,
+    place: Option<&str>,
+    size: Option<Sensor>,
+) -> anyhow::Result<RosReader> {
+    RosReader::new(Box::new(Bag::new(source, name)?), place, size)
+}
+
+/// The messages of a bag of ROS 1.
+pub struct Bag {
+    bytes: Chunked,
+    connections: Uses,
+    header: Vec<u8>,
+    /// Position of the latest record's data.
+    at: u64,
+}
+
+impl Bag {
+    /// Begins at the first record.
+    ///
+    /// # Errors
+    /// No bag of version 2.0.
+    pub fn new(source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<Self> {
+        let mut input = Input::new(source, name)?;
+        let mut start = vec![0; MAGIC.len()];
+        if input.fill(&mut start)? < start.len() || start != MAGIC {
+            return Err(input.error_at(0, "no bag of version 2.0 (#ROSBAG V2.0)"));
+        }
+        Ok(Self {
+            bytes: Chunked::new(input),
+            connections: Uses::new(),
+            header: Vec::new(),
+            at: 0,
+        })
+    }
+
+    fn length(&mut self) -> anyhow::Result<u32> {
+        self.bytes.take(&mut self.header, 4)?;
+        let bytes = self.header.first_chunk().copied().unwrap_or_default();
+        Ok(u32::from_le_bytes(bytes))
+    }
+
+    fn damaged(&self, what: &str) -> anyhow::Error {
+        self.bytes.input.error_at(self.at, what)
+    }
+
+    /// The wanted field of the latest header, of `N` bytes.
+    fn number<const N: usize>(&self, name: &str) -> anyhow::Result<[u8; N]> {
+        let value = field(&self.header, name).and_then(|value| value.try_into().ok());
+        value.ok_or_else(|| self.damaged(&format!("a record without {name}: it is damaged")))
+    }
+
+    fn text(&self, bytes: &[u8], name: &str) -> anyhow::Result<String> {
+        let value = field(bytes, name).and_then(|value| std::str::from_utf8(value).ok());
+        let value = value.map(str::to_owned);
+        value.ok_or_else(|| self.damaged(&format!("a record without {name}: it is damaged")))
+    }
+}
+
+/// The value of a field of a header.
+fn field<'a>(mut header: &'a [u8], name: &str) -> Option<&'a [u8]> {
+    while let Some((length, rest)) = header.split_first_chunk() {
+        let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
+        let (field, rest) = rest.split_at_checked(length)?;
+        let equals = field.iter().position(|byte| *byte == b'=')?;
+        let (key, value) = field.split_at_checked(equals)?;
+        if key == name.as_bytes() {
+            return value.get(1..);
+        }
+        header = rest;
+    }
+    None
+}
+
+impl Messages for Bag {
+    fn format(&self) -> &'static str {
+        FORMAT.name
+    }
+
+    fn next(
+        &mut self,
+        message: &mut Vec<u8>,
+        topics: &mut Topics,
+        skipped: &mut Skipped,
+    ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
+        loop {
+            self.bytes.leave();
+            if self.bytes.left() == 0 {
+                return Ok(None);
+            }
+            self.at = self.bytes.offset();
+            let length = self.length()?;
+            if length > HEADER_MAX {
+                return Err(self.damaged(&format!(
+                    "a record's header of {length} bytes: it is damaged"
+                )));
+            }
+            self.bytes.take(&mut self.header, length.into())?;
+            let mut header = std::mem::take(&mut self.header);
+            let length = self.length()?;
+            std::mem::swap(&mut self.header, &mut header);
+            self.at = self.bytes.offset();
+            match self.number("op")? {
+                [MESSAGE] => {
+                    let connection = u32::from_le_bytes(self.number("conn")?);
+                    match self.connections.get(&connection.into()) {
+                        Some(Use::Read(kind)) => {
+                            let kind = *kind;
+                            self.bytes.take(message, length.into())?;
+                            return Ok(Some((kind, Serialisation::Ros1)));
+                        }
+                        Some(Use::Skip(what)) => skipped.add(what, 1),
+                        None => skipped.add("messages of unknown connections", 1),
+                    }
+                    self.bytes.skip(length.into())?;
+                }
+                [CHUNK] => {
+                    let size = u32::from_le_bytes(self.number("size")?);
+                    let compression = self.text(&self.header, "compression")?;
+                    self.bytes.enter(&compression, length.into(), size.into())?;
+                }
+                [CONNECTION] => {
+                    if length > CONNECTION_MAX || self.connections.len() >= CONNECTIONS_MAX {
+                        return Err(self.damaged("too long or too many connections: damaged"));
+                    }
+                    let connection = u32::from_le_bytes(self.number("conn")?);
+                    let topic = self.text(&self.header, "topic")?;
+                    self.bytes.take(message, length.into())?;
+                    let kind = self.text(message, "type")?;
+                    // Each connection is told again at the bag's end.
+                    let uses = topics
+                        .meet(&topic, &kind)
+                        .map_err(|what| self.damaged(&what))?;
+                    self.connections.insert(connection.into(), uses);
+                }
+                _ => self.bytes.skip(length.into())?,
+            }
+        }
+    }
+
+    fn error(&self, at: usize, what: &str) -> anyhow::Error {
+        let (inside, at) = (self.bytes.inside(), at as u64);
+        if inside {
+            return self.damaged(&format!("byte {at} of a message in this chunk: {what}"));
+        }
+        self.bytes.input.error_at(self.at + at, what)
+    }
+}

@@ -1,0 +1,230 @@
+//! Bags of ROS 2 in an SQLite database (`.db3`), as rosbag2's plugin `sqlite3` writes them.
+//!
+//! Table `topics` (id, name, type, serialization_format, ...) and `messages` (id, topic_id,
+//! timestamp, data); the data is CDR. Messages are read by ascending id, the order of writing.
+//!
+//! SQLite itself reads the file: what a database may be (journals, overflow pages, versions) is no
+//! matter for a second reader. Its C library takes a first build half a minute, so this format is a
+//! feature of the build (`db3`); without it a database is told and refused.
+
+use crate::formats::format::{Format, Limits};
+
+/// First bytes of every SQLite database.
+pub const MAGIC: &[u8] = b"SQLite format 3\0";
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "rosbag2_db3",
+    title: "ROS 2 bag in SQLite",
+    endings: &[".db3"],
+    detect: |start| start.begins(MAGIC),
+    open: reader::open,
+    has_places: true,
+    grows: false,
+    limits: Limits::NONE,
+    create: None,
+};
+
+/// Why a build without SQLite reads no database.
+#[cfg(not(feature = "db3"))]
+#[must_use]
+pub fn refusal(name: &str) -> String {
+    format!(
+        "{name}: byte 0: SQLite is not part of this build: build with `--features db3`, or convert \
+         the bag to .mcap (ros2 bag convert)"
+    )
+}
+
+#[cfg(not(feature = "db3"))]
+mod reader {
+    use crate::formats::EventReader;
+    use crate::formats::format::Opening;
+
+    /// Refuses.
+    pub fn open(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
+        anyhow::bail!("{}", super::refusal(opening.name))
+    }
+}
+
+#[cfg(feature = "db3")]
+pub use reader::Database;
+
+#[cfg(feature = "db3")]
+mod reader {
+    use std::io::{Seek, SeekFrom};
+    use std::path::Path;
+
+    use anyhow::Context;
+    use rusqlite::{Connection, OpenFlags, OptionalExtension};
+
+    use super::super::decoder::{MESSAGE_MAX, Messages, RosReader};
+    use super::super::fields::Serialisation;
+    use super::super::message::Kind;
+    use super::super::topics::{Topics, Use};
+    use super::FORMAT;
+    use crate::formats::format::Opening;
+    use crate::formats::{EventReader, Skipped};
+
+    pub fn open(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
+        let Opening {
+            mut source,
+            name,
+            path,
+            place,
+            size,
+        } = opening;
+        let database = match path {
+            Some(path) => Database::new(path, name)?,
+            None => {
+                // SQLite wants a file of its own.
+                let context = || format!("{name}: byte 0: cannot be copied to a temporary file");
+                let mut copy = tempfile::NamedTempFile::new().with_context(context)?;
+                source.seek(SeekFrom::Start(0)).with_context(context)?;
+                std::io::copy(&mut source, copy.as_file_mut()).with_context(context)?;
+                let mut database = Database::new(copy.path(), name)?;
+                database.copy = Some(copy);
+                database
+            }
+        };
+        let reader = RosReader::new(Box::new(database), place, size)?;
+        Ok(Box::new(reader))
+    }
+
+    /// The messages of a database.
+    pub struct Database {
+        connection: Connection,
+        name: String,
+        /// The wanted topic's numbers and kind, once asked.
+        topics: Option<Vec<(i64, Kind)>>,
+        /// Number of the latest message.
+        message: i64,
+        /// Held so long as it is read.
+        copy: Option<tempfile::NamedTempFile>,
+    }
+
+    impl Database {
+        /// Opens the database at `path`, which messages call `name`.
+        ///
+        /// # Errors
+        /// No database.
+        pub fn new(path: &Path, name: &str) -> anyhow::Result<Self> {
+            let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+            let connection = Connection::open_with_flags(path, flags)
+                .with_context(|| format!("{name}: byte 0: SQLite cannot open it"))?;
+            Ok(Self {
+                connection,
+                name: name.to_owned(),
+                topics: None,
+                message: i64::MIN,
+                copy: None,
+            })
+        }
+
+        fn ask_topics(
+            &self,
+            topics: &mut Topics,
+            skipped: &mut Skipped,
+        ) -> anyhow::Result<Vec<(i64, Kind)>> {
+            let ask = "SELECT id, name, type, serialization_format FROM topics ORDER BY id";
+            let rows = self.connection.prepare(ask).and_then(|mut statement| {
+                let row = |row: &rusqlite::Row<'_>| {
+                    let text = |i| row.get::<_, String>(i);
+                    Ok((row.get::<_, i64>(0)?, text(1)?, text(2)?, text(3)?))
+                };
+                statement.query_map([], row)?.collect::<Result<Vec<_>, _>>()
+            });
+            let rows = rows.with_context(|| {
+                format!("{}: byte 0: no bag of ROS 2 (table topics)", self.name)
+            })?;
+            let mut read = Vec::new();
+            for (id, topic, kind, serialisation) in rows {
+                match topics.meet(&topic, &kind) {
+                    Ok(Use::Read(kind)) if serialisation == "cdr" => read.push((id, kind)),
+                    Ok(Use::Read(_)) => {
+                        let name = &self.name;
+                        anyhow::bail!(
+                            "{name}: byte 0: topic {topic} is serialised as {serialisation:?}: \
+                             record it as cdr"
+                        );
+                    }
+                    Ok(Use::Skip(what)) => skipped.add(what, self.count(id)?),
+                    Err(what) => anyhow::bail!("{}: byte 0: {what}", self.name),
+                }
+            }
+            Ok(read)
+        }
+
+        fn count(&self, topic: i64) -> anyhow::Result<u64> {
+            let ask = "SELECT count(*) FROM messages WHERE topic_id = ?1";
+            let count = self.connection.query_row(ask, [topic], |row| row.get(0));
+            count
+                .map(|count: i64| u64::try_from(count).unwrap_or(0))
+                .with_context(|| self.broken())
+        }
+
+        fn broken(&self) -> String {
+            format!(
+                "{}: byte 0 behind message {}: SQLite cannot read on: the database is damaged",
+                self.name, self.message
+            )
+        }
+    }
+
+    impl Messages for Database {
+        fn format(&self) -> &'static str {
+            FORMAT.name
+        }
+
+        fn next(
+            &mut self,
+            message: &mut Vec<u8>,
+            topics: &mut Topics,
+            skipped: &mut Skipped,
+        ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
+            let wanted = match self.topics.take() {
+                Some(wanted) => wanted,
+                None => self.ask_topics(topics, skipped)?,
+            };
+            let ask = "SELECT id, topic_id, length(data), data FROM messages WHERE id > ?1 \
+                       ORDER BY id LIMIT 1";
+            let found = loop {
+                let found = self.connection.prepare_cached(ask).and_then(|mut ask| {
+                    let row = ask.query_row([self.message], |row| {
+                        let (id, topic): (i64, i64) = (row.get(0)?, row.get(1)?);
+                        let kind = wanted.iter().find(|(id, _)| *id == topic);
+                        let length: i64 = row.get(2)?;
+                        if kind.is_some() && length <= MESSAGE_MAX as i64 {
+                            message.clear();
+                            message.extend_from_slice(row.get_ref(3)?.as_blob()?);
+                        }
+                        Ok((id, kind.map(|(_, kind)| *kind), length))
+                    });
+                    row.optional()
+                });
+                match found.with_context(|| self.broken())? {
+                    None => break None,
+                    Some((id, kind, length)) => {
+                        self.message = id;
+                        if let Some(kind) = kind {
+                            if length > MESSAGE_MAX as i64 {
+                                let what = format!("{length} bytes are too many: it is damaged");
+                                return Err(self.error(0, &what));
+                            }
+                            break Some((kind, Serialisation::Cdr));
+                        }
+                    }
+                }
+            };
+            self.topics = Some(wanted);
+            Ok(found)
+        }
+
+        fn error(&self, at: usize, what: &str) -> anyhow::Error {
+            let Self { name, message, .. } = self;
+            match *message {
+                i64::MIN => anyhow::anyhow!("{name}: byte {at}: {what}"),
+                message => anyhow::anyhow!("{name}: message {message}, byte {at}: {what}"),
+            }
+        }
+    }
+}

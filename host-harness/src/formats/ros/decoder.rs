@@ -1,0 +1,363 @@
+//! Events out of messages, whatever file these come from.
+//!
+//! Times, always of the sensor or its driver, never the computer's clock at the arrival:
+//!
+//! * `evt3`: the words' own, in us since the sensor's start; `time_base` is not used, as the
+//!   package `event_camera_codecs` does not. Everything but the words' place in messages is as in
+//!   EVT 3.0 files: rows, times and wraps carry over from one message to the next.
+//! * `libcaer`: `time_base` + 1000 * the word's 31 bits, in ns; a time below the one before it in the
+//!   same message has rolled over, which adds 2^31 us. Word: polarity bit 1, y bits 2 to 16, x bits
+//!   17 to 31 (bit 0, libcaer's mark of validity, is not asked).
+//! * `libcaer_cmp`: `time_base` + 1000 * 24 bits, which begin at 0 in every message. Words: type in
+//!   the upper 4 bits (0 time bits 23..12, 1 time bits 11..0, 2 x, 3 y with polarity in bit 11: one
+//!   event, 4 first y and polarity of vectors, 5 bit i: an event at y + i, then y advances by 8).
+//!   x, first y and polarity carry over.
+//! * `mono`: `time_base` + 32 bits of ns; x bits 32 to 47, y bits 48 to 62, polarity bit 63.
+//! * `EventArray`: the structure's time.
+//!
+//! Nanoseconds are rounded down to microseconds.
+
+use eecvs_nostd::{Event, Polarity, Sensor};
+
+use super::fields::{Fields, Serialisation};
+use super::message::{Content, Encoding, Head, Kind};
+use super::topics::{Topics, Use};
+use crate::formats::Skipped;
+use crate::formats::evt3::{Outside, VECTOR_EVENTS, WordDecoder};
+use crate::formats::input::{Batch, Decode, Reader};
+
+/// Longest message.
+pub const MESSAGE_MAX: usize = 1 << 28;
+
+/// The messages of a bag, one after the other.
+pub trait Messages: Send {
+    /// As [`Decode::format`].
+    fn format(&self) -> &'static str;
+
+    /// Puts the next message of the wanted topic in place of `message`, and counts those of others;
+    /// `None` at the end.
+    ///
+    /// # Errors
+    /// A damaged or truncated file.
+    fn next(
+        &mut self,
+        message: &mut Vec<u8>,
+        topics: &mut Topics,
+        skipped: &mut Skipped,
+    ) -> anyhow::Result<Option<(Kind, Serialisation)>>;
+
+    /// Error at byte `at` of the message that was read last.
+    fn error(&self, at: usize, what: &str) -> anyhow::Error;
+}
+
+/// What to do with a topic once it was found out, by number.
+pub type Uses = std::collections::HashMap<u64, Use>;
+
+/// Reader of bags.
+pub type RosReader = Reader<RosDecoder>;
+
+impl RosReader {
+    /// Reads `messages` up to the first one of the topic `place`, or of the first topic of events.
+    ///
+    /// # Errors
+    /// No such topic, no sensor size, a damaged file.
+    pub fn new(
+        mut messages: Box<dyn Messages>,
+        place: Option<&str>,
+        size: Option<Sensor>,
+    ) -> anyhow::Result<Self> {
+        let mut topics = Topics::new(place);
+        let (mut message, mut skipped) = (Vec::new(), Skipped::default());
+        let Some((kind, serialisation)) = messages.next(&mut message, &mut topics, &mut skipped)?
+        else {
+            return Err(messages.error(0, &topics.missing()));
+        };
+        let head = Head::read(&message, kind, serialisation)
+            .map_err(|(at, what)| messages.error(at, &what))?;
+        let sensor = match (head.width, head.height) {
+            (0, 0) => size.ok_or_else(|| {
+                let what = "the messages tell no sensor size: give --width W --height H";
+                messages.error(0, what)
+            })?,
+            (width, height) => {
+                let side = |side| u16::try_from(side).unwrap_or(0);
+                Sensor::new(side(width), side(height)).ok_or_else(|| {
+                    let what = format!("sensor size {width}x{height} is out of range");
+                    messages.error(0, &what)
+                })?
+            }
+        };
+        Ok(Self::around(RosDecoder {
+            messages,
+            topics,
+            told: (head.width, head.height),
+            sensor,
+            message,
+            content: Some(head.content),
+            evt3: WordDecoder::new(sensor, 0),
+            libcaer_high_us: 0,
+            libcaer_last_us: 0,
+            vectors: VectorState::default(),
+            events: 0,
+            skipped,
+        }))
+    }
+}
+
+/// What words of `libcaer_cmp` have said.
+#[derive(Debug, Default)]
+struct VectorState {
+    high: u16,
+    low: u16,
+    x: u16,
+    y: u32,
+    polarity: bool,
+}
+
+/// State between two batches.
+pub struct RosDecoder {
+    messages: Box<dyn Messages>,
+    topics: Topics,
+    /// Width and height as the first message tells them.
+    told: (u32, u32),
+    sensor: Sensor,
+    message: Vec<u8>,
+    /// What of the message is unread.
+    content: Option<Content>,
+    evt3: WordDecoder,
+    /// Rolled over within this message.
+    libcaer_high_us: u64,
+    libcaer_last_us: u64,
+    vectors: VectorState,
+    events: u64,
+    skipped: Skipped,
+}
+
+impl RosDecoder {
+    /// Begins the next message; false at the end.
+    fn next(&mut self) -> anyhow::Result<bool> {
+        let next = self
+            .messages
+            .next(&mut self.message, &mut self.topics, &mut self.skipped)?;
+        let Some((kind, serialisation)) = next else {
+            return Ok(false);
+        };
+        let head = Head::read(&self.message, kind, serialisation)
+            .map_err(|(at, what)| self.messages.error(at, &what))?;
+        if (head.width, head.height) != self.told {
+            let (width, height) = self.told;
+            let what = format!(
+                "the sensor's size is {}x{} here and {width}x{height} before: convert the parts",
+                head.width, head.height
+            );
+            return Err(self.messages.error(0, &what));
+        }
+        self.content = Some(head.content);
+        (self.libcaer_high_us, self.libcaer_last_us) = (0, 0);
+        (self.vectors.high, self.vectors.low) = (0, 0);
+        Ok(true)
+    }
+
+    fn outside(&self, at: usize, x: i64, y: i64) -> anyhow::Error {
+        let Sensor { width, height } = self.sensor;
+        let what = format!(
+            "event {} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): the recording \
+             is damaged",
+            self.events
+        );
+        self.messages.error(at, &what)
+    }
+
+    /// Gives an event of the message's byte `at`.
+    fn push(
+        &mut self,
+        at: usize,
+        (t_ns, x, y, on): (u64, u32, u32, bool),
+        batch: &mut Batch<'_>,
+    ) -> anyhow::Result<()> {
+        let inside = u16::try_from(x).ok().zip(u16::try_from(y).ok());
+        let inside = inside.filter(|(x, y)| self.sensor.contains(*x, *y));
+        let Some((x, y)) = inside else {
+            return Err(self.outside(at, x.into(), y.into()));
+        };
+        batch.push(Event {
+            t_us: t_ns / 1000,
+            x,
+            y,
+            polarity: Polarity::from_bool(on),
+        });
+        self.events += 1;
+        Ok(())
+    }
+
+    /// Decodes packed events from position `at` on while the batch has room; returns where it stopped.
+    fn packed(
+        &mut self,
+        encoding: Encoding,
+        base_ns: u64,
+        mut at: usize,
+        end: usize,
+        batch: &mut Batch<'_>,
+    ) -> anyhow::Result<usize> {
+        while at < end && batch.room() >= VECTOR_EVENTS {
+            match encoding {
+                Encoding::Evt3 => {
+                    let word = u16::from_le_bytes(self.word(at));
+                    let before = self.evt3.events;
+                    let decoded = self.evt3.decode(word, batch, &mut self.skipped);
+                    self.events += self.evt3.events - before;
+                    if let Err(Outside { x, y }) = decoded {
+                        return Err(self.outside(at, x, y));
+                    }
+                }
+                Encoding::LibcaerCmp => {
+                    let word = u16::from_le_bytes(self.word(at));
+                    self.vector(at, word, base_ns, batch)?;
+                }
+                Encoding::Libcaer => {
+                    let [data, time] = self.pair(at);
+                    if time > i32::MAX as u32 {
+                        let what = format!("time {time} has more than 31 bits: it is damaged");
+                        return Err(self.messages.error(at + 4, &what));
+                    }
+                    let time_us = u64::from(time);
+                    if time_us < self.libcaer_last_us {
+                        self.libcaer_high_us += 1 << 31;
+                    }
+                    self.libcaer_last_us = time_us;
+                    let t_ns = self.time(at, base_ns, (self.libcaer_high_us + time_us) * 1000)?;
+                    let (x, y) = (data >> 17, data >> 2 & 0x7fff);
+                    self.push(at, (t_ns, x, y, data & 2 != 0), batch)?;
+                }
+                Encoding::Mono => {
+                    let [time_ns, data] = self.pair(at);
+                    let t_ns = self.time(at, base_ns, time_ns.into())?;
+                    let (x, y) = (data & 0xffff, data >> 16 & 0x7fff);
+                    self.push(at, (t_ns, x, y, data >> 31 != 0), batch)?;
+                }
+            }
+            at += encoding.word_bytes();
+        }
+        Ok(at)
+    }
+
+    /// Takes a word of `libcaer_cmp`.
+    fn vector(
+        &mut self,
+        at: usize,
+        word: u16,
+        base_ns: u64,
+        batch: &mut Batch<'_>,
+    ) -> anyhow::Result<()> {
+        let (value, row, on) = (word & 0xfff, u32::from(word & 0x7ff), word & 0x800 != 0);
+        let state = &mut self.vectors;
+        let time_us = u64::from(state.high) << 12 | u64::from(state.low);
+        match word >> 12 {
+            0 => state.high = value,
+            1 => state.low = value,
+            2 => state.x = word & 0x7ff,
+            3 => {
+                let x = state.x.into();
+                let t_ns = self.time(at, base_ns, time_us * 1000)?;
+                self.push(at, (t_ns, x, row, on), batch)?;
+            }
+            4 => (state.y, state.polarity) = (row, on),
+            5 => {
+                let (x, y, on) = (state.x.into(), state.y, state.polarity);
+                state.y = y.saturating_add(8);
+                let t_ns = self.time(at, base_ns, time_us * 1000)?;
+                for bit in (0..8).filter(|bit| word >> bit & 1 == 1) {
+                    self.push(at, (t_ns, x, y.saturating_add(bit), on), batch)?;
+                }
+            }
+            _ => self.skipped.add("unknown words", 1),
+        }
+        Ok(())
+    }
+
+    fn time(&self, at: usize, base_ns: u64, since_ns: u64) -> anyhow::Result<u64> {
+        base_ns.checked_add(since_ns).ok_or_else(|| {
+            let what = format!("time_base {base_ns} ns leads beyond 2^64 ns: it is damaged");
+            self.messages.error(at, &what)
+        })
+    }
+
+    /// The word at `at`; the caller asks within the message only.
+    fn word<const N: usize>(&self, at: usize) -> [u8; N] {
+        let rest = self.message.get(at..).unwrap_or_default();
+        rest.first_chunk().copied().unwrap_or([0; N])
+    }
+
+    fn pair(&self, at: usize) -> [u32; 2] {
+        let [a, b, c, d, e, f, g, h] = self.word(at);
+        [[a, b, c, d], [e, f, g, h]].map(u32::from_le_bytes)
+    }
+
+    /// Decodes the structure at a position.
+    fn structure(&mut self, content: &mut Content, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        let Content::Array { cursor, left } = content else {
+            return Ok(());
+        };
+        let at = cursor.at;
+        let mut fields = Fields::resume(&self.message, *cursor);
+        let mut event = || {
+            let (x, y) = (fields.u16()?.into(), fields.u16()?.into());
+            Ok((fields.time_ns()?, x, y, fields.u8()? != 0))
+        };
+        let event = event().map_err(|what: String| self.messages.error(at, &what))?;
+        (*cursor, *left) = (fields.cursor, *left - 1);
+        let behind = fields.left();
+        if *left == 0 && behind > 3 {
+            // CDR pads a message to 4 bytes.
+            let what = format!("{behind} bytes are left behind the events: another layout");
+            return Err(self.messages.error(cursor.at, &what));
+        }
+        self.push(at, event, batch)
+    }
+}
+
+impl Decode for RosDecoder {
+    fn format(&self) -> &'static str {
+        self.messages.format()
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        while batch.room() >= VECTOR_EVENTS {
+            match self.content {
+                None | Some(Content::Array { left: 0, .. }) => {
+                    if !self.next()? {
+                        break;
+                    }
+                }
+                Some(Content::Packed { at, end, .. }) if at >= end => self.content = None,
+                Some(Content::Packed {
+                    encoding,
+                    base_ns,
+                    at,
+                    end,
+                }) => {
+                    let at = self.packed(encoding, base_ns, at, end, batch)?;
+                    self.content = Some(Content::Packed {
+                        encoding,
+                        base_ns,
+                        at,
+                        end,
+                    });
+                }
+                Some(mut content) => {
+                    self.structure(&mut content, batch)?;
+                    self.content = Some(content);
+                }
+            }
+        }
+        Ok(())
+    }
+}

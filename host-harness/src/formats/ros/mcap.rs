@@ -1,0 +1,236 @@
+//! Bags of ROS 2 in MCAP files (`.mcap`), by the specification at mcap.dev.
+//!
+//! 8 bytes of magic, then records: u8 opcode, u64 length, content; little-endian, strings with a u32
+//! length. 3 schema (u16 id, name, encoding, definition), 4 channel (u16 id, u16 schema, topic,
+//! message encoding, map), 5 message (u16 channel, u32 sequence, u64 log time and u64 publish time in
+//! ns, data), 6 chunk (u64 first and last time, u64 size, u32 CRC, compression: none, `lz4` or `zstd`,
+//! u64 length, records), F end of the data, 2 footer. The data of a message is CDR.
+//!
+//! Records are read one after the other up to the end of the data, so that a file without its summary
+//! or cut off is read as far as it goes. The CRCs are not checked: LZ4 and Zstandard find damage of
+//! their own. The reader holds a message and, where it is compressed, a chunk. The crate `mcap` builds
+//! two C libraries for its compressions, and three stacks of derive macros without them; it is the
+//! peer of the tests by its Python twin.
+
+use eecvs_nostd::Sensor;
+
+use super::chunk::Chunked;
+use super::decoder::{Messages, RosReader, Uses};
+use super::fields::{Fields, Serialisation};
+use super::message::Kind;
+use super::topics::{Topics, Use};
+use crate::formats::Skipped;
+use crate::formats::format::{Format, Limits, Opening};
+use crate::formats::input::{Input, ReadSeek};
+
+/// First and last bytes of every file.
+pub const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+
+/// Longest schema or channel.
+const DESCRIPTION_MAX: u64 = 1 << 20;
+
+/// Longest name of a type: memory for each is kept.
+const NAME_MAX: usize = 1 << 10;
+
+const FOOTER: u8 = 0x02;
+const SCHEMA: u8 = 0x03;
+const CHANNEL: u8 = 0x04;
+const MESSAGE: u8 = 0x05;
+const CHUNK: u8 = 0x06;
+const DATA_END: u8 = 0x0f;
+
+/// Bytes of a message before its data.
+const MESSAGE_HEAD: u64 = 2 + 4 + 8 + 8;
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "mcap",
+    title: "ROS 2 bag in MCAP",
+    endings: &[".mcap"],
+    detect: |start| start.begins(MAGIC),
+    open: |opening| {
+        let Opening {
+            name, place, size, ..
+        } = opening;
+        Ok(Box::new(open(opening.source, name, place, size)?))
+    },
+    has_places: true,
+    grows: true,
+    limits: Limits::NONE,
+    create: None,
+};
+
+/// Reads the file `source`, which messages call `name`, as [`RosReader::new`].
+///
+/// # Errors
+/// As [`RosReader::new`].
+pub fn open(
+    source: Box<dyn ReadSeek>,
+    name: &str,
+    place: Option<&str>,
+    size: Option<Sensor>,
+) -> anyhow::Result<RosReader> {
+    RosReader::new(Box::new(Mcap::new(source, name)?), place, size)
+}
+
+/// The messages of an MCAP file.
+pub struct Mcap {
+    bytes: Chunked,
+    /// Names of types by the schema's number.
+    schemas: std::collections::HashMap<u16, String>,
+    channels: Uses,
+    content: Vec<u8>,
+    /// Position of the latest record.
+    at: u64,
+    ended: bool,
+}
+
+impl Mcap {
+    /// Begins at the first record.
+    ///
+    /// # Errors
+    /// No MCAP file.
+    pub fn new(source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<Self> {
+        let mut input = Input::new(source, name)?;
+        let mut start = [0; MAGIC.len()];
+        if input.fill(&mut start)? < start.len() || &start != MAGIC {
+            return Err(input.error_at(0, "no MCAP file of version 0"));
+        }
+        Ok(Self {
+            bytes: Chunked::new(input),
+            schemas: std::collections::HashMap::new(),
+            channels: Uses::new(),
+            content: Vec::new(),
+            at: 0,
+            ended: false,
+        })
+    }
+
+    fn damaged(&self, what: &str) -> anyhow::Error {
+        self.bytes.input.error_at(self.at, what)
+    }
+
+    /// Takes a schema, or a channel; what is wrong, if anything.
+    fn describe(&mut self, opcode: u8, topics: &mut Topics) -> Result<(), String> {
+        // The content is laid out as ROS 1 lays out messages.
+        let mut fields = Fields::new(&self.content, Serialisation::Ros1)?;
+        let id = fields.u16()?;
+        if opcode == SCHEMA {
+            let name = fields.string()?;
+            if name.len() > NAME_MAX {
+                return Err("a schema's name is too long: it is damaged".to_owned());
+            }
+            self.schemas.insert(id, name.to_owned());
+            return Ok(());
+        }
+        let schema = fields.u16()?;
+        let (topic, encoding) = (fields.string()?, fields.string()?);
+        let kind = self.schemas.get(&schema).map_or("", String::as_str);
+        let uses = topics.meet(topic, kind)?;
+        if let Use::Read(_) = uses
+            && encoding != "cdr"
+        {
+            return Err(format!(
+                "topic {topic} is serialised as {encoding:?}: record it as cdr"
+            ));
+        }
+        self.channels.insert(id.into(), uses);
+        Ok(())
+    }
+
+    /// Reads a chunk's head and goes on inside of it.
+    fn enter(&mut self, length: u64) -> anyhow::Result<()> {
+        // Times, size, CRC.
+        self.bytes.take(&mut self.content, 8 + 8 + 8 + 4 + 4)?;
+        let mut fields =
+            Fields::new(&self.content, Serialisation::Ros1).map_err(|what| self.damaged(&what))?;
+        let mut numbers = || {
+            fields.bytes(16)?;
+            let size = fields.u64()?;
+            fields.u32()?;
+            Ok((size, fields.u32()?))
+        };
+        let (size, name) = numbers().map_err(|what: String| self.damaged(&what))?;
+        if name > 64 {
+            return Err(self.damaged("a chunk's compression is no name: it is damaged"));
+        }
+        self.bytes.take(&mut self.content, name.into())?;
+        let compression = String::from_utf8_lossy(&self.content).into_owned();
+        self.bytes.take(&mut self.content, 8)?;
+        let packed = self.content.first_chunk().copied().unwrap_or_default();
+        let packed = u64::from_le_bytes(packed);
+        if packed.checked_add(8 + 8 + 8 + 4 + 4 + u64::from(name) + 8) != Some(length) {
+            return Err(self.damaged("a chunk's lengths disagree: it is damaged"));
+        }
+        self.bytes.enter(&compression, packed, size)
+    }
+}
+
+impl Messages for Mcap {
+    fn format(&self) -> &'static str {
+        FORMAT.name
+    }
+
+    fn next(
+        &mut self,
+        message: &mut Vec<u8>,
+        topics: &mut Topics,
+        skipped: &mut Skipped,
+    ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
+        while !self.ended {
+            self.bytes.leave();
+            self.at = self.bytes.offset();
+            if self.bytes.left() == 0 {
+                return Err(self.damaged(
+                    "the file ends without the end of its data: the recording was cut off; what \
+                     stands before can be used",
+                ));
+            }
+            self.bytes.take(&mut self.content, 1 + 8)?;
+            let Some((opcode, length)) = self.content.split_first() else {
+                continue;
+            };
+            let opcode = *opcode;
+            let length = u64::from_le_bytes(length.try_into().unwrap_or_default());
+            match opcode {
+                DATA_END | FOOTER => self.ended = true,
+                CHUNK => self.enter(length)?,
+                SCHEMA | CHANNEL => {
+                    if length > DESCRIPTION_MAX {
+                        return Err(self.damaged("a schema or channel is too long: damaged"));
+                    }
+                    self.bytes.take(&mut self.content, length)?;
+                    self.describe(opcode, topics)
+                        .map_err(|what| self.damaged(&what))?;
+                }
+                MESSAGE => {
+                    let data = length.checked_sub(MESSAGE_HEAD);
+                    let data =
+                        data.ok_or_else(|| self.damaged("a message is too short: damaged"))?;
+                    self.bytes.take(&mut self.content, MESSAGE_HEAD)?;
+                    let channel = self.content.first_chunk().copied().unwrap_or_default();
+                    match self.channels.get(&u16::from_le_bytes(channel).into()) {
+                        Some(Use::Read(kind)) => {
+                            let kind = *kind;
+                            self.at = self.bytes.offset();
+                            self.bytes.take(message, data)?;
+                            return Ok(Some((kind, Serialisation::Cdr)));
+                        }
+                        Some(Use::Skip(what)) => skipped.add(what, 1),
+                        None => skipped.add("messages of unknown channels", 1),
+                    }
+                    self.bytes.skip(data)?;
+                }
+                _ => self.bytes.skip(length)?,
+            }
+        }
+        Ok(None)
+    }
+
+    fn error(&self, at: usize, what: &str) -> anyhow::Error {
+        if self.bytes.inside() {
+            return self.damaged(&format!("byte {at} of a message in this chunk: {what}"));
+        }
+        self.bytes.input.error_at(self.at + at as u64, what)
+    }
+}

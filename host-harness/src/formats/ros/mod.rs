@@ -1,0 +1,17 @@
+//! Bags of ROS: recordings of messages, among which those of one topic of events are read.
+//!
+//! One file each: [`bag`] (ROS 1), [`db3`] and [`mcap`] (ROS 2), [`folder`] (a ROS 2 bag of several
+//! files). [`decoder`] turns messages of any of them into events and says what times mean;
+//! [`message`] knows the types of messages. The first topic of events is read, in the order in which
+//! the file names topics; another one is named behind the file: `FILE.bag/dvs/right/events`. Messages
+//! come in the order of the file, which is that of their arrival.
+
+pub mod bag;
+pub mod chunk;
+pub mod db3;
+pub mod decoder;
+pub mod fields;
+pub mod folder;
+pub mod mcap;
+pub mod message;
+pub mod topics;

@@ -1,0 +1,102 @@
+//! Which of a bag's topics is read.
+
+use super::message::Kind;
+
+/// Topics of events that are kept for messages, at the most.
+const NAMES_MAX: usize = 64;
+
+/// The topic that is read, named by the caller or else the first one of events.
+#[derive(Debug, Default)]
+pub struct Topics {
+    wanted: Option<String>,
+    /// Topics of events met, for messages.
+    events: Vec<String>,
+}
+
+/// What to do with a topic's messages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Use {
+    /// They are read.
+    Read(Kind),
+    /// They are skipped and counted by this name.
+    Skip(&'static str),
+}
+
+impl Topics {
+    /// Reads the topic `place`, with or without its slash, or the first one.
+    #[must_use]
+    pub fn new(place: Option<&str>) -> Self {
+        let wanted = place.map(|place| format!("/{}", place.trim_matches('/')));
+        Self {
+            wanted,
+            events: Vec::new(),
+        }
+    }
+
+    /// What to do with the messages of a topic, as topics are met.
+    ///
+    /// # Errors
+    /// The topic was asked for, and its messages are no events.
+    pub fn meet(&mut self, topic: &str, kind_name: &str) -> Result<Use, String> {
+        let named = format!("/{}", topic.trim_start_matches('/'));
+        let kind = Kind::of(kind_name);
+        let wanted = self.wanted.as_ref().is_some_and(|wanted| *wanted == named);
+        let Some(kind) = kind else {
+            if wanted {
+                return Err(format!(
+                    "the topic {topic} holds {kind_name}: events are {}",
+                    Kind::NAMES
+                ));
+            }
+            return Ok(Use::Skip(match kind_name.rsplit('/').next() {
+                Some("Imu") => "IMU samples",
+                Some("Image" | "CompressedImage") => "frames",
+                _ => "other messages",
+            }));
+        };
+        if self.events.len() < NAMES_MAX && !self.events.contains(&named) {
+            self.events.push(named.clone());
+        }
+        if self.wanted.get_or_insert_with(|| named.clone()) == &named {
+            Ok(Use::Read(kind))
+        } else {
+            Ok(Use::Skip("messages of other event topics"))
+        }
+    }
+
+    /// What is missing where no message of the topic was met.
+    #[must_use]
+    pub fn missing(&self) -> String {
+        match (&self.wanted, self.events.as_slice()) {
+            (Some(wanted), []) => format!("no events on the topic {wanted}, nor on another"),
+            (Some(wanted), events) if !events.contains(wanted) => {
+                let events = events.join(", ");
+                format!("no topic {wanted}: the recording's topics of events are {events}")
+            }
+            (Some(wanted), _) => format!("the topic {wanted} holds no messages"),
+            (None, _) => format!("no topic holds events ({})", Kind::NAMES),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_topic_of_events_or_the_named_one() {
+        const PACKET: &str = "event_camera_msgs/msg/EventPacket";
+        let mut topics = Topics::new(None);
+        let frames = topics.meet("/image", "sensor_msgs/Image");
+        assert_eq!(frames, Ok(Use::Skip("frames")));
+        assert_eq!(topics.meet("/a", PACKET), Ok(Use::Read(Kind::EventPacket)));
+        let other = topics.meet("/b", PACKET);
+        assert_eq!(other, Ok(Use::Skip("messages of other event topics")));
+        assert_eq!(topics.meet("/a", PACKET), Ok(Use::Read(Kind::EventPacket)));
+        let mut topics = Topics::new(Some("b"));
+        assert!(matches!(topics.meet("/a", PACKET), Ok(Use::Skip(_))));
+        assert!(topics.missing().contains("/a"), "{}", topics.missing());
+        assert!(topics.meet("/b", "sensor_msgs/Imu").is_err());
+        assert_eq!(topics.meet("b", PACKET), Ok(Use::Read(Kind::EventPacket)));
+    }
+}

@@ -1,0 +1,271 @@
+#!/usr/bin/env python3
+"""Bags of ROS written by rosbags and mcap, read by eecvs.
+
+    ros_bags.py EECVS FOLDER [--without-db3]
+
+EECVS is the command's path, FOLDER an empty one for the bags. Prints `ok` or `differs` for each check,
+and exits 1 where one differs. Wants the packages rosbags, mcap and numpy. The
+encodings' words are packed here, by their definition alone.
+"""
+
+import csv
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+PACKET = """std_msgs/Header header
+uint32 height
+uint32 width
+uint64 seq
+uint64 time_base
+string encoding
+bool is_bigendian
+uint8[] events
+"""
+EVENT = "uint16 x\nuint16 y\ntime ts\nbool polarity\n"
+EVENT_2 = EVENT.replace("time ts", "builtin_interfaces/Time ts")
+ARRAY = "std_msgs/Header header\nuint32 height\nuint32 width\nEvent[] events\n"
+WIDTH, HEIGHT = 640, 480
+BASE_US = 1_675_956_550_000_000
+
+failed = False
+
+
+def check(name, same):
+    global failed
+    failed = failed or not same
+    print(f"{'ok' if same else 'differs'}: {name}")
+
+
+def store(version):
+    types = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    kinds = get_types_from_msg(PACKET, "event_camera_msgs/msg/EventPacket")
+    for package in ("dvs_msgs", "prophesee_event_msgs"):
+        kinds |= get_types_from_msg(EVENT if version == 1 else EVENT_2, f"{package}/msg/Event")
+        kinds |= get_types_from_msg(ARRAY, f"{package}/msg/EventArray")
+    types.register(kinds)
+    return types
+
+
+def random_events(n):
+    """Sorted times of which many are equal, and every corner of the sensor."""
+    random = np.random.default_rng(7)
+    t = BASE_US + np.sort(random.integers(0, 3_000_000, n))
+    x, y = random.integers(0, WIDTH, n), random.integers(0, HEIGHT, n)
+    return np.stack([t, x, y, random.integers(0, 2, n)], axis=1)
+
+
+def libcaer(events, base_us):
+    words = np.zeros((len(events), 2), "<u4")
+    t, x, y, p = events.T
+    words[:, 0] = x << 17 | y << 2 | p << 1 | 1
+    words[:, 1] = (t - base_us) & 0x7FFF_FFFF
+    return words.tobytes()
+
+
+def libcaer_cmp(events, base_us):
+    words, at = [], 0
+    while at < len(events):
+        t, x, y, p = (int(value) for value in events[at])
+        since = t - base_us
+        words += [since >> 12, 0x1000 | since & 0xFFF, 0x2000 | x]
+        words += [0x3000 | p << 11 | y] if at % 3 else [0x4000 | p << 11 | y, 0x5001]
+        at += 1
+    return np.array(words, "<u2").tobytes()
+
+
+def mono(events, base_us):
+    t, x, y, p = (column.astype("<u8") for column in events.T)
+    since = (t - np.uint64(base_us)) * np.uint64(1000)
+    shifts = (np.uint64(shift) for shift in (32, 48, 63))
+    words = since
+    for value, shift in zip((x, y, p), shifts):
+        words = words | value << shift
+    return words.tobytes()
+
+
+def evt3(events, _):
+    words = []
+    for t, x, y, p in events.tolist():
+        since = t - BASE_US
+        words += [0x8000 | since >> 12, 0x6000 | since & 0xFFF, y, 0x2000 | p << 11 | x]
+    return np.array(words, "<u2").tobytes()
+
+
+PACKERS = {"evt3": evt3, "libcaer": libcaer, "libcaer_cmp": libcaer_cmp, "mono": mono}
+
+
+def header(types, version, t):
+    time = types.types["builtin_interfaces/msg/Time"](t // 1_000_000, t % 1_000_000 * 1000)
+    fields = {"stamp": time, "frame_id": "camera"}
+    if version == 1:
+        fields["seq"] = 0
+    return types.types["std_msgs/msg/Header"](**fields)
+
+
+def packets(types, version, events, encoding):
+    """Messages of 1,000 events each, with their times."""
+    for seq, first in enumerate(range(0, len(events), 1000)):
+        part = events[first : first + 1000]
+        base_us = int(part[0, 0]) - 5
+        data = np.frombuffer(PACKERS[encoding](part, base_us), np.uint8)
+        yield (
+            base_us * 1000,
+            types.types["event_camera_msgs/msg/EventPacket"](
+                header=header(types, version, base_us),
+                height=HEIGHT,
+                width=WIDTH,
+                seq=seq,
+                time_base=0 if encoding == "evt3" else base_us * 1000,
+                encoding=encoding,
+                is_bigendian=False,
+                events=data,
+            ),
+        )
+
+
+def arrays(types, version, events, package):
+    event = types.types[f"{package}/msg/Event"]
+    time = types.types["builtin_interfaces/msg/Time"]
+    for first in range(0, len(events), 1000):
+        part = events[first : first + 1000].tolist()
+        list_of = [
+            event(x=x, y=y, ts=time(t // 1_000_000, t % 1_000_000 * 1000), polarity=bool(p))
+            for t, x, y, p in part
+        ]
+        t = part[0][0]
+        yield (
+            t * 1000,
+            types.types[f"{package}/msg/EventArray"](
+                header=header(types, version, t), height=HEIGHT, width=WIDTH, events=list_of
+            ),
+        )
+
+
+def read_csv(path):
+    with open(path, newline="") as file:
+        rows = [row for row in csv.reader(file) if row and row[0].lstrip("-").isdigit()]
+    return np.array(rows, np.int64).reshape(-1, 4)
+
+
+def ours(eecvs, bag, folder):
+    """What eecvs reads."""
+    out = folder / "out.csv"
+    result = subprocess.run([eecvs, "convert", bag, out], capture_output=True, text=True)
+    if result.returncode:
+        print(result.stderr.strip())
+        return None
+    return read_csv(out)
+
+
+def same(got, want):
+    return got is not None and got.shape == want.shape and bool((got == want).all())
+
+
+def write(version, path, topics, types, **how):
+    """Writes messages of topics by turns."""
+    if version == 1:
+        writer = Writer1(path)
+        if how.get("compression"):
+            writer.set_compression(how["compression"])
+    else:
+        writer = Writer2(path, version=9, storage_plugin=how["plugin"])
+        if how.get("compression"):
+            writer.set_compression(how["compression"], how["format"])
+    with writer:
+        for topic, messages in topics.items():
+            messages = list(messages)
+            kind = messages[0][1].__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=types)
+            for t, message in messages:
+                if version == 1:
+                    data = types.serialize_ros1(message, kind)
+                else:
+                    data = types.serialize_cdr(message, kind, little_endian=how.get("little", True))
+                writer.write(connection, t, data)
+
+
+def reading(eecvs, folder, with_db3):
+    events = random_events(100_000)
+    since = events - np.array([BASE_US, 0, 0, 0])
+    types = {version: store(version) for version in (1, 2)}
+    compressions = [None, Writer1.CompressionFormat.LZ4, Writer1.CompressionFormat.BZ2]
+    for compression in compressions:
+        name = f"{compression.name.lower() if compression else 'none'}"
+        for encoding in PACKERS:
+            path = folder / f"{encoding}_{name}.bag"
+            messages = packets(types[1], 1, events, encoding)
+            write(1, path, {"/events": messages}, types[1], compression=compression)
+            want = since if encoding == "evt3" else events
+            check(f"ROS 1 bag, {name}, {encoding}", same(ours(eecvs, path, folder), want))
+    for package in ("dvs_msgs", "prophesee_event_msgs"):
+        few = events[:20_000]
+        path = folder / f"{package}.bag"
+        left, right = (
+            arrays(types[1], 1, part, package) for part in (few, few[::2])
+        )
+        write(1, path, {"/left/events": left, "/right/events": right}, types[1])
+        check(f"ROS 1 bag, {package}", same(ours(eecvs, path, folder), few))
+        other = ours(eecvs, path / "right" / "events", folder)
+        check(f"ROS 1 bag, {package}, another topic", same(other, few[::2]))
+        path = folder / f"{package}_mcap"
+        messages = {"/events": arrays(types[2], 2, few, package)}
+        write(2, path, messages, types[2], plugin=StoragePlugin.MCAP)
+        check(f"MCAP, {package}", same(ours(eecvs, path, folder), few))
+    plugins = [StoragePlugin.MCAP] + [StoragePlugin.SQLITE3] * with_db3
+    for plugin in plugins:
+        for encoding in PACKERS:
+            for little in (True, False):
+                path = folder / f"{plugin.name.lower()}_{encoding}_{little}"
+                messages = {"/events": packets(types[2], 2, events, encoding)}
+                write(2, path, messages, types[2], plugin=plugin, little=little)
+                want = since if encoding == "evt3" else events
+                name = f"{plugin.name}, {encoding}, {'little' if little else 'big'} endian"
+                check(name, same(ours(eecvs, path, folder), want))
+                if little:
+                    file = next(file for file in path.iterdir() if file.suffix != ".yaml")
+                    check(f"{name}, the file alone", same(ours(eecvs, file, folder), want))
+
+
+def chunked(eecvs, folder):
+    """MCAP files with chunks of each compression, with and without a summary."""
+    from mcap.writer import CompressionType
+    from mcap.writer import Writer as McapWriter
+
+    events = random_events(100_000)
+    types = store(2)
+    for compression in CompressionType:
+        for whole in (True, False):
+            path = folder / f"{compression.name}_{whole}.mcap"
+            with open(path, "wb") as file:
+                writer = McapWriter(file, compression=compression)
+                writer.start("ros2", "peer")
+                name = "event_camera_msgs/msg/EventPacket"
+                schema = writer.register_schema(name, "ros2msg", PACKET.encode())
+                channel = writer.register_channel("/events", "cdr", schema)
+                for t, message in packets(types, 2, events, "libcaer"):
+                    data = bytes(types.serialize_cdr(message, message.__msgtype__))
+                    writer.add_message(channel, t, data, t)
+                writer.finish()
+            if not whole:
+                path.write_bytes(path.read_bytes()[:-400])
+            got = ours(eecvs, path, folder)
+            check(f"MCAP chunks {compression.name}, summary whole: {whole}", same(got, events))
+
+
+def main():
+    eecvs, folder = sys.argv[1], Path(sys.argv[2])
+    with_db3 = "--without-db3" not in sys.argv
+    reading(eecvs, folder, with_db3)
+    chunked(eecvs, folder)
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()
