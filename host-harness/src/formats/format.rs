@@ -8,7 +8,7 @@ use eecvs_nostd::Sensor;
 
 use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
-use super::{EventReader, EventWriter, aedat2, aedat4, evt2, evt3, hdf5, npz, text};
+use super::{EventReader, EventWriter, aedat2, aedat4, es, evt2, evt3, hdf5, npz, text};
 
 /// Bytes that a format is told by.
 const START_BYTES: usize = 4096;
@@ -19,6 +19,7 @@ pub const FORMATS: &[Format] = &[
     aedat2::FORMAT,
     evt2::FORMAT,
     evt3::FORMAT,
+    es::FORMAT,
     hdf5::FORMAT,
     npz::FORMAT,
     text::FORMAT,

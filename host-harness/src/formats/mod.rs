@@ -8,6 +8,7 @@ pub mod aedat4;
 mod aedat4_writer;
 pub mod ahead;
 mod decimal;
+pub mod es;
 mod event_numbers;
 pub mod evt2;
 pub mod evt3;
@@ -64,8 +65,8 @@ impl Skipped {
 
 /// A recording being read, from its first event to its last; on a thread of its own, if need be.
 pub trait EventReader: Send {
-    /// Format name as `eecvs info` prints it: `aedat4`, `aedat2`, `evt2`, `evt3`, `text`, `npz`,
-    /// `hdf5`.
+    /// Format name as `eecvs info` prints it: `aedat4`, `aedat2`, `evt2`, `evt3`, `es`, `text`,
+    /// `npz`, `hdf5`.
     fn format(&self) -> &'static str;
 
     /// Sensor size from the file's header, or from the caller where the format has none.
