@@ -336,7 +336,7 @@ impl EventWriter for EsWriter {
             anyhow::ensure!(
                 t_us <= T_MAX_US,
                 "{name}: event {index}: time {t_us} us is above 2^36, the last that is written as \
-                 Event Stream: begin at 0 (--rebase), or write .aedat4"
+                 Event Stream: write .aedat4"
             );
             for _ in 0..step_us / DVS_OVERFLOW_US {
                 self.put(&[0xff])?;
