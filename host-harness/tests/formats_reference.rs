@@ -99,6 +99,14 @@ fn dat_without_a_size() {
 }
 
 #[test]
+fn es() {
+    check("es_csv_1ms_grid", "dvs.es", "es");
+    if let Some(info) = check("es_csv_1ms_grid", "atis.es", "es") {
+        assert!(info.skipped.contains_key("threshold crossings"));
+    }
+}
+
+#[test]
 fn aedat2() {
     check(
         "dvs128_walking_moderate",

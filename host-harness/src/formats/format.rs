@@ -9,7 +9,8 @@ use eecvs_nostd::Sensor;
 use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
 use super::{
-    EventReader, EventWriter, aedat2, aedat4, dat, evt2, evt3, evt4, evt21, hdf5, npz, ros, text,
+    EventReader, EventWriter, aedat2, aedat4, dat, es, evt2, evt3, evt4, evt21, hdf5, npz, ros,
+    text,
 };
 
 /// Bytes that a format is told by.
@@ -24,6 +25,7 @@ pub const FORMATS: &[Format] = &[
     evt3::FORMAT,
     evt4::FORMAT,
     dat::FORMAT,
+    es::FORMAT,
     hdf5::FORMAT,
     npz::FORMAT,
     ros::bag::FORMAT,

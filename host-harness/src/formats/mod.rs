@@ -11,6 +11,7 @@ pub mod dat;
 mod dat_times;
 mod dat_writer;
 mod decimal;
+pub mod es;
 mod event_numbers;
 pub mod evt2;
 pub mod evt21;
