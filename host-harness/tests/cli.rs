@@ -475,7 +475,11 @@ fn of_a_damaged_recording_everything_before_the_damage_is_kept() {
             let line = format!("{command} {input} {flag}{out} {size}");
             let is_none = input == "none.csv";
             let kept = if is_none { "byte" } else { "everything before" };
-            folder.eecvs(&line).fails(&[input, "byte", kept]);
+            let outcome = folder.eecvs(&line);
+            assert_eq!(outcome.status, Some(1), "{outcome}");
+            for word in [input, "byte", kept] {
+                assert!(outcome.stderr.contains(word), "{word}: {outcome}");
+            }
             assert_eq!(exists(&folder.path(out)), !is_none, "{input} {command}");
             if !is_none {
                 if command != "convert" {

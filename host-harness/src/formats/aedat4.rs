@@ -74,7 +74,7 @@ pub const FORMAT: Format = Format {
                source, name, size, ..
            }| Ok(Box::new(Aedat4Reader::new(source, name, size)?)),
     has_places: false,
-    grows: true,
+    grows: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Aedat4Writer::create(path, sensor)?))),
 };

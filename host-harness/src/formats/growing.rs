@@ -43,8 +43,8 @@ impl Follow {
 /// sensor's size needs `size`.
 ///
 /// # Errors
-/// As [`open`], when the file has not become a recording in time; a format whose files have their
-/// directory at the end, and can be read only when they are whole; no size.
+/// As [`open`], when the file has not become a recording in time; a format whose files can be
+/// read only when they are whole; no size.
 pub fn open_growing(
     path: &Path,
     size: Option<Sensor>,
@@ -66,7 +66,7 @@ pub fn open_growing(
         .with_context(|| format!("{name}: cannot be followed"))?;
     ensure!(
         format.grows,
-        "{name}: {} files are read by what stands at their end: convert it when it is whole",
+        "{name}: {} files are read when they are whole: wait for its end",
         format.title
     );
     // Without it, the largest pixel of the whole file would be looked for.
@@ -136,8 +136,8 @@ mod tests {
     use crate::formats::create;
 
     const SENSOR: Sensor = Sensor {
-        width: 64,
-        height: 48,
+        width: 128,
+        height: 128,
     };
 
     fn follow(idle_ms: u64) -> Follow {
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn what_is_appended_comes_too() {
-        for name in ["a.raw", "a.evt2", "a.aedat4"] {
+        for name in ["a.raw", "a.evt2", "a.dat", "a.aedat"] {
             let bytes = bytes(name);
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join(name);

@@ -55,7 +55,7 @@ pub const FORMAT: Format = Format {
         Ok(Box::new(open(opening.source, name, place, size)?))
     },
     has_places: true,
-    grows: true,
+    grows: false,
     limits: Limits::NONE,
     create: None,
 };
