@@ -9,7 +9,7 @@ seconds=${1:-5}
 [ $# -gt 0 ] && shift
 if [ $# = 0 ]; then
     # The names in the table of formats.
-    formats=$(sed -n 's/^    name: "\(.*\)",$/read_\1/p' ../host-harness/src/formats/*.rs)
+    formats=$(sed -n 's/^    name: "\(.*\)",$/read_\1/p' ../host-harness/src/formats/*.rs ../host-harness/src/formats/*/*.rs)
     set -- $(ls fuzz_targets | sed 's/\.rs$//; /^read$/d') $formats
 fi
 # Builds of many units of code take half as long, those of one run up to three times as fast.

@@ -8,8 +8,7 @@
 //!
 //! Records are read one after the other, so that a bag that was never closed (`.bag.active`) or cut
 //! off is read as far as it goes; indexes are passed over. The reader holds a message and, where it is
-//! compressed, a chunk. The crates of this format (`rosbag`, `rosrust_msg`) hold the file in memory
-//! and read no damaged ones.
+//! compressed, a chunk.
 
 use eecvs_nostd::Sensor;
 

@@ -4,7 +4,7 @@
 //! timestamp, data); the data is CDR. Messages are read by ascending id, the order of writing.
 //!
 //! SQLite itself reads the file: what a database may be (journals, overflow pages, versions) is no
-//! matter for a second reader. Its C library takes a first build half a minute, so this format is a
+//! matter for a second reader. Its C library would make every first build longer, so this format is a
 //! feature of the build (`db3`); without it a database is told and refused.
 
 use crate::formats::format::{Format, Limits};
