@@ -18,6 +18,7 @@ fuzz_target!(|data: &[u8]| {
     drain((FORMAT.open)(Opening {
         source: source(data),
         name: "fuzz",
+        path: None,
         place: None,
         size: size(data),
     }));

@@ -16,7 +16,7 @@
 //! The time wraps after 71.6 minutes; the wraps are carried, which OpenEB does not do. A line `% T0` is
 //! added to every time, as faery does, whose writer puts it there. faery gives a time that steps back as the
 //! one before it, and reads no files of type 0 but by its inner decoder. A file is sought by bisection, as
-//! [`super::dat_times`] says.
+//! `dat_times.rs` says.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
