@@ -103,7 +103,12 @@ fn recordings_are_given_as_files_and_folders() {
     let folder = Folder::new();
     std::fs::create_dir_all(folder.path("data/inner")).expect("a folder");
     folder.scene("data/inner/anything.raw");
-    folder.scene("alone.csv");
+    // Another scene: of files with the same events one is taken.
+    folder
+        .eecvs(
+            "emulate motorcycle -o alone.csv --width 40 --height 30 --duration-us 200000 --seed 2",
+        )
+        .ok();
     folder.write("data/notes.md", "no recording");
     let rows = rows(&folder, "--data alone.csv data -o charts");
     let recordings: BTreeSet<&str> = rows.iter().map(|row| text(row, "recording")).collect();
