@@ -11,7 +11,7 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
-use super::raw_header::{self, RawHeader};
+use super::raw_header::{self, RawFile};
 use super::raw_writer::RawWriter;
 use super::{EventWriter, Skipped};
 
@@ -49,13 +49,12 @@ impl Evt2Reader {
         name: &str,
         size: Option<Sensor>,
     ) -> anyhow::Result<Self> {
-        let mut input = Input::new(source, name)?;
-        let header = RawHeader::read(&mut input)?;
-        if header.words != Ok(raw_header::Words::Evt2) {
-            return Err(input.error_at(0, "no EVT 2.0 header (% evt 2.0)"));
-        }
-        let sensor = header.sensor_or(size, &input)?;
-        let t0_us = header.t0_us(&input)?;
+        let RawFile {
+            input,
+            header,
+            sensor,
+            t0_us,
+        } = RawFile::open(source, name, size, raw_header::Words::Evt2)?;
         let base_us = header.time_base_us - header.time_base_us % PERIOD_US;
         Ok(Self::around(Evt2Decoder {
             input,

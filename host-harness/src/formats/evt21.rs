@@ -23,7 +23,8 @@ use super::evt21_word::{
 };
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
-use super::raw_header::{self, RawHeader};
+use super::raw_header::{self, RawFile};
+use super::raw_row::{Outside, Row};
 use super::raw_writer::RawWriter;
 use super::wrapping::Wrapping;
 use super::{EventWriter, Skipped};
@@ -65,13 +66,12 @@ impl Evt21Reader {
         name: &str,
         size: Option<Sensor>,
     ) -> anyhow::Result<Self> {
-        let mut input = Input::new(source, name)?;
-        let header = RawHeader::read(&mut input)?;
-        if header.words != Ok(raw_header::Words::Evt21) {
-            return Err(input.error_at(0, "no EVT 2.1 header (% evt 2.1)"));
-        }
-        let sensor = header.sensor_or(size, &input)?;
-        let t0_us = header.t0_us(&input)?;
+        let RawFile {
+            mut input,
+            header,
+            sensor,
+            t0_us,
+        } = RawFile::open(source, name, size, raw_header::Words::Evt21)?;
         let order = match header.endianness.as_deref() {
             Some("legacy") => Order::UpperFirst,
             Some("little") => Order::Little,
@@ -113,13 +113,13 @@ pub struct Evt21Decoder {
 impl Evt21Decoder {
     /// Emits the events of a vector.
     fn vector(&mut self, word: u64, batch: &mut Batch<'_>) -> anyhow::Result<()> {
-        let mut left = word as u32;
-        if left == 0 {
+        let columns = word as u32;
+        if columns == 0 {
             self.skipped.add("empty vectors", 1);
             return Ok(());
         }
         let Some(high) = self.high.last() else {
-            let count = u64::from(left.count_ones());
+            let count = u64::from(columns.count_ones());
             self.skipped.add("events before the first time", count);
             return Ok(());
         };
@@ -127,24 +127,14 @@ impl Evt21Decoder {
         let t_us = (high << LOW_BITS | low) + self.t0_us;
         let polarity = Polarity::from_bool(word >> TYPE_SHIFT == 1);
         let y = (word >> Y_SHIFT & SIDE) as u16;
-        while left != 0 {
-            // At most 2047 + 31.
-            let x = (word >> X_SHIFT & SIDE) as u16 + left.trailing_zeros() as u16;
-            left &= left - 1;
-            if !self.sensor.contains(x, y) {
-                let offset = self.words.offset(&self.input);
-                let (x, y) = (i64::from(x), i64::from(y));
-                return Err(self.input.outside(offset, self.events, x, y, self.sensor));
-            }
-            batch.push(Event {
-                t_us,
-                x,
-                y,
-                polarity,
-            });
-            self.events += 1;
-        }
-        Ok(())
+        let x = (word >> X_SHIFT & SIDE) as u32;
+        let row = Row { t_us, y, polarity };
+        let emitted = row.emit(x, columns, self.sensor, &mut self.events, batch);
+        emitted.map_err(|Outside { x, y }| {
+            let offset = self.words.offset(&self.input);
+            self.input
+                .outside(offset, self.events, x.into(), y.into(), self.sensor)
+        })
     }
 }
 

@@ -22,7 +22,8 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
-use super::raw_header::{self, RawHeader};
+use super::raw_header::{self, RawFile};
+use super::raw_row::{Outside, Row};
 use super::raw_writer::RawWriter;
 use super::wrapping::Wrapping;
 use super::{EventWriter, Skipped};
@@ -73,13 +74,12 @@ impl Evt4Reader {
         name: &str,
         size: Option<Sensor>,
     ) -> anyhow::Result<Self> {
-        let mut input = Input::new(source, name)?;
-        let header = RawHeader::read(&mut input)?;
-        if header.words != Ok(raw_header::Words::Evt4) {
-            return Err(input.error_at(0, "no EVT 4.0 header (% evt 4.0)"));
-        }
-        let sensor = header.sensor_or(size, &input)?;
-        let t0_us = header.t0_us(&input)?;
+        let RawFile {
+            input,
+            header,
+            sensor,
+            t0_us,
+        } = RawFile::open(source, name, size, raw_header::Words::Evt4)?;
         Ok(Self::around(Evt4Decoder {
             input,
             words: Words::default(),
@@ -124,25 +124,14 @@ impl Evt4Decoder {
         // The types of ON are odd.
         let polarity = Polarity::from_bool(word >> TYPE_SHIFT & 1 == 1);
         let y = (word & SIDE) as u16;
-        let mut left = columns;
-        while left != 0 {
-            // At most 2047 + 31.
-            let x = (word >> X_SHIFT & SIDE) as u16 + left.trailing_zeros() as u16;
-            left &= left - 1;
-            if !self.sensor.contains(x, y) {
-                let offset = self.words.offset(&self.input);
-                let (x, y) = (i64::from(x), i64::from(y));
-                return Err(self.input.outside(offset, self.events, x, y, self.sensor));
-            }
-            batch.push(Event {
-                t_us,
-                x,
-                y,
-                polarity,
-            });
-            self.events += 1;
-        }
-        Ok(())
+        let x = word >> X_SHIFT & SIDE;
+        let row = Row { t_us, y, polarity };
+        let emitted = row.emit(x, columns, self.sensor, &mut self.events, batch);
+        emitted.map_err(|Outside { x, y }| {
+            let offset = self.words.offset(&self.input);
+            self.input
+                .outside(offset, self.events, x.into(), y.into(), self.sensor)
+        })
     }
 }
 

@@ -31,6 +31,7 @@ pub mod npz;
 mod npz_layout;
 mod npz_writer;
 pub mod raw_header;
+mod raw_row;
 mod raw_writer;
 pub mod ros;
 pub mod text;

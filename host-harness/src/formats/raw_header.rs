@@ -5,7 +5,7 @@
 
 use eecvs_nostd::Sensor;
 
-use super::input::Input;
+use super::input::{Input, ReadSeek};
 use super::wrapping::Wrapping;
 
 /// Longest header line and header; real ones stay below 1 KiB.
@@ -88,6 +88,44 @@ pub struct RawHeader {
     pub t0: Option<String>,
     /// Bytes up to the first that is not of the header.
     pub length: u64,
+}
+
+/// A RAW file that has been opened; the input stands at the first word.
+pub struct RawFile {
+    /// Its bytes.
+    pub input: Input,
+    /// Its header.
+    pub header: RawHeader,
+    /// The sensor's size.
+    pub sensor: Sensor,
+    /// To be added to the times of its words.
+    pub t0_us: u64,
+}
+
+impl RawFile {
+    /// Opens `source`, which messages call `name`; `size` counts where the header names no size.
+    ///
+    /// # Errors
+    /// A header that does not announce `words`, no sensor size.
+    pub fn open(
+        source: Box<dyn ReadSeek>,
+        name: &str,
+        size: Option<Sensor>,
+        words: Words,
+    ) -> anyhow::Result<Self> {
+        let mut input = Input::new(source, name)?;
+        let header = RawHeader::read(&mut input)?;
+        if header.words != Ok(words) {
+            let (title, version) = (words.title(), words.version());
+            return Err(input.error_at(0, format!("no {title} header (% evt {version})")));
+        }
+        Ok(Self {
+            sensor: header.sensor_or(size, &input)?,
+            t0_us: header.t0_us(&input)?,
+            input,
+            header,
+        })
+    }
 }
 
 impl RawHeader {

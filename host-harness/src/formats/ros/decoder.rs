@@ -23,8 +23,9 @@ use super::fields::{Fields, Serialisation};
 use super::message::{Content, Encoding, Head, Kind};
 use super::topics::{Topics, Use};
 use crate::formats::Skipped;
-use crate::formats::evt3::{Outside, VECTOR_EVENTS, WordDecoder};
+use crate::formats::evt3::{VECTOR_EVENTS, WordDecoder};
 use crate::formats::input::{Batch, Decode, Reader};
+use crate::formats::raw_row::Outside;
 
 /// Longest message.
 pub const MESSAGE_MAX: usize = 1 << 28;
@@ -207,7 +208,7 @@ impl RosDecoder {
                     let decoded = self.evt3.decode(word, batch, &mut self.skipped);
                     self.events += self.evt3.events - before;
                     if let Err(Outside { x, y }) = decoded {
-                        return Err(self.outside(at, x, y));
+                        return Err(self.outside(at, x.into(), y.into()));
                     }
                 }
                 Encoding::LibcaerCmp => {
