@@ -19,6 +19,7 @@ pub mod npy;
 pub mod output_file;
 pub mod progress;
 pub mod reconstruct;
+pub mod record_file;
 pub mod recording_info;
 pub mod reference;
 pub mod report;
