@@ -2,12 +2,18 @@
 
 pub mod one_pixel;
 
+use std::path::Path;
+
 use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, KEY_WINDOWS, Mode, Polarity, Push,
     Quantiser, Scan, Sensor, Thresholds, Transform, WindowConfig, scan,
 };
 use host_harness::encode::HostStorage;
+use host_harness::record_file::{self, RecordFile};
+use host_harness::report::marks::Marks;
 use proptest::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 /// A sensor with sides of 1 to 80: several segments in a row, and a last one that is not full.
 pub fn sensor() -> impl Strategy<Value = Sensor> {
@@ -158,4 +164,38 @@ pub fn parse(bytes: &[u8]) -> Frame<'_> {
         Scan::Frame(frame) if frame.bytes == bytes.len() => frame,
         other => panic!("not one whole frame: {other:?}"),
     }
+}
+
+/// Holds what a test measured against its committed record, or writes that, and the README's section,
+/// where `EECVS_BLESS` is set: `section` makes it, if it can, of the records in a folder. The README is compared with its record by a test of `host-harness`.
+///
+/// # Panics
+/// Rows that are not those of the record.
+pub fn hold_against_record<R>(
+    name: &str,
+    rows: &[R],
+    marks: Marks,
+    section: impl FnOnce(&Path) -> Option<String>,
+) where
+    R: Serialize + DeserializeOwned,
+{
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let folder = root.join("host-harness/record");
+    if std::env::var_os("EECVS_BLESS").is_some() {
+        record_file::write(&folder, name, rows).expect("the record is writable");
+        let readme = root.join("README.md");
+        if let Some(section) = section(&folder) {
+            marks.write(&readme, &section).expect("the README's marks");
+        }
+        return;
+    }
+    let record: RecordFile<R> = record_file::read(&folder, name).expect("a record");
+    let text = |rows: &[R]| serde_json::to_string_pretty(rows).expect("plain data");
+    // The same path through text as the record's numbers.
+    let measured: Vec<R> = serde_json::from_str(&text(rows)).expect("plain data");
+    assert_eq!(
+        text(&measured),
+        text(&record.rows),
+        "not the rows of {name}.json: `host-harness/record.sh {name}` writes them anew"
+    );
 }

@@ -3,13 +3,16 @@
 pub mod chart;
 pub mod demo;
 pub mod error_chart;
+pub mod exact_times_table;
 pub mod frame_picture;
+pub mod keep_order_table;
 pub mod kernel_chart;
 pub mod kernel_table;
 pub mod marks;
 pub mod picture;
 pub mod picture_backend;
 pub mod rate_chart;
+pub mod rate_control_table;
 pub mod rate_table;
 pub mod sheet;
 pub mod skip_table;
