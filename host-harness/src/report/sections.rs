@@ -95,8 +95,11 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
-    use crate::bench::rate;
+    use crate::bench::mcu::{self, Count, Part};
+    use crate::bench::{Row, rate};
     use crate::report::marks::of_project;
 
     /// Sections of `tests/`, which compares them with their records in `firmware/`.
@@ -189,14 +192,75 @@ mod tests {
         assert_eq!([percent(least), percent(most)], [2.0, 15.0]);
     }
 
-    /// What the README says of single events and of whole floods in words.
+    /// What the README says of kernels in words.
     #[test]
-    fn a_sentence_about_kernels_is_of_its_record() {
-        let rows: Vec<crate::bench::Row> = read(&folder(), "kernels").unwrap().rows;
-        let haar = rows
-            .iter()
-            .filter(|row| (row.kernel, row.target) == ("haar", "host"));
-        assert!(haar.clone().count() > 0);
-        assert!(haar.into_iter().all(|row| row.max_error == Some(0.0)));
+    fn the_sentences_about_kernels_are_of_their_records() {
+        let rows: Vec<Row> = read(&folder(), "kernels").unwrap().rows;
+        let of = |kernel: &'static str| {
+            let is_it = move |row: &&Row| (row.kernel, row.target) == (kernel, "host");
+            rows.iter().filter(is_it)
+        };
+        assert!(of("haar").count() > 0);
+        assert!(of("haar").all(|row| row.max_error == Some(0.0)));
+        for table in of("table") {
+            for kernel in ["recurrence", "precise", "libm", "micromath"] {
+                let is_same = |row: &&Row| {
+                    (row.transform, row.m, &row.window) == (table.transform, table.m, &table.window)
+                };
+                for row in of(kernel).filter(is_same) {
+                    assert!(
+                        table.cost < row.cost,
+                        "{kernel}, {}, {}",
+                        row.transform,
+                        row.m
+                    );
+                }
+            }
+        }
+        let readme = of_project("README.md");
+        assert!(readme.contains("crowded pixels of the DCT with M = 24 on a microcontroller"));
+        let counts = mcu::saved().unwrap();
+        let mut faster = BTreeSet::new();
+        let per_event = |count: &Count, part: fn(&Count) -> Part| {
+            let is_same = |other: &&Count| {
+                (
+                    &other.target,
+                    &other.kernel,
+                    &other.transform,
+                    other.m,
+                    &other.origin,
+                ) == (
+                    &count.target,
+                    &count.kernel,
+                    &count.transform,
+                    count.m,
+                    &count.origin,
+                )
+            };
+            let sum = counts.iter().filter(is_same).map(part);
+            let (instructions, events) = sum.fold((0, 0), |(instructions, events), part| {
+                (instructions + part.instructions, events + part.events)
+            });
+            instructions as f64 / events as f64
+        };
+        for count in counts.iter().filter(|count| count.origin == "recordings") {
+            let table = Count {
+                kernel: "table".to_owned(),
+                ..count.clone()
+            };
+            for (name, part) in [
+                ("all", (|count| count.all) as fn(&Count) -> Part),
+                ("crowded", |count| count.crowded),
+            ] {
+                if per_event(count, part) < per_event(&table, part) {
+                    let key = (count.kernel.as_str(), count.transform.as_str(), count.m);
+                    faster.insert((key, name));
+                }
+            }
+        }
+        assert_eq!(
+            faster.into_iter().collect::<Vec<_>>(),
+            [(("recurrence", "dct", 24), "crowded")]
+        );
     }
 }
