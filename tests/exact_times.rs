@@ -1,6 +1,7 @@
 //! Event times from contiguous coefficients of the DTFT, M = K = 16: how many come back how exactly,
 //! against the peaks of the summed atoms, on emulated scenes and on the shared recordings.
 //!
+//! What comes back is held against `host-harness/record/exact-times-*.json`, of which the README's table is made.
 //! Recordings are skipped, with a notice, where they are absent.
 
 use std::collections::BTreeMap;
@@ -15,7 +16,10 @@ use host_harness::metrics::emd_pixel::Matcher;
 use host_harness::metrics::frame::pixel_order;
 use host_harness::reconstruct::events::{EventDecoder, Finder};
 use host_harness::reconstruct::{DecodedWindow, recover::Confidences};
+use host_harness::record_file;
+use host_harness::report::exact_times_table::{self, Row, SCENES, SIZES};
 use host_harness::scene::{PRESETS, SceneConfig, emulate};
+use strategies::hold_against_record;
 
 const WINDOW_US: u32 = 32_768;
 const M: u8 = 16;
@@ -92,6 +96,44 @@ struct Outcome {
     exact: Tallies,
     peaks: Tallies,
     confidences: Confidences,
+}
+
+impl Outcome {
+    /// Of every size of pixels.
+    fn rows(&self, source: &str, step_log2: i8) -> Vec<Row> {
+        let row = |(least, most, size): (usize, usize, &str)| {
+            let (exact, peaks) = (self.exact.of(least..=most), self.peaks.of(least..=most));
+            Row {
+                source: source.to_owned(),
+                step_log2,
+                size: size.to_owned(),
+                events: exact.events,
+                within_1_us: exact.within_1_us,
+                within_5_us: exact.within_5_us,
+                emd_us: exact.emd_us(),
+                emd_peaks_us: peaks.emd_us(),
+            }
+        };
+        SIZES.map(row).to_vec()
+    }
+}
+
+/// Pixels whose solution the last bit of a float decides are few.
+const TOLERANCE: f64 = 0.02;
+
+/// Of the scenes and of the recordings: each test has one.
+const RECORDS: [&str; 2] = ["exact-times-scenes", "exact-times-recordings"];
+
+fn hold(name: &str, rows: &[Row]) {
+    hold_against_record(name, rows, TOLERANCE, exact_times_table::MARKS, |folder| {
+        let records = RECORDS.map(|name| record_file::read::<Row>(folder, name));
+        let rows: Vec<Row> = records
+            .into_iter()
+            .flatten()
+            .flat_map(|record| record.rows)
+            .collect();
+        exact_times_table::document(&rows)
+    });
 }
 
 fn windows(reader: &mut dyn EventReader, step_log2: i8) -> Vec<DecodedWindow> {
@@ -201,6 +243,7 @@ fn check(outcome: &Outcome, name: &str) {
 
 #[test]
 fn scenes_come_back_with_the_documented_exactness() {
+    let mut rows = Vec::new();
     for step_log2 in [-6, -7] {
         let mut sum = Outcome::default();
         for preset in PRESETS {
@@ -222,7 +265,9 @@ fn scenes_come_back_with_the_documented_exactness() {
         sum.exact
             .print(&format!("all scenes, step 2^{step_log2}, exact"));
         check(&sum, "all scenes");
+        rows.extend(sum.rows(SCENES, step_log2));
     }
+    hold(RECORDS[0], &rows);
 }
 
 /// The first windows of a recording, in memory.
@@ -265,6 +310,7 @@ impl EventReader for Start {
 #[test]
 fn recordings_come_back_with_the_documented_exactness() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
+    let (mut rows, mut is_whole) = (Vec::new(), true);
     for name in [
         "davis346_building_dense/davis.aedat4",
         "dvs128_walking_moderate/alex_walking_for_10secs.aedat",
@@ -273,6 +319,7 @@ fn recordings_come_back_with_the_documented_exactness() {
         let path = data.join(name);
         if !path.exists() {
             eprintln!("skipped: {} is absent", path.display());
+            is_whole = false;
             continue;
         }
         let open = || -> Box<dyn EventReader> {
@@ -284,5 +331,10 @@ fn recordings_come_back_with_the_documented_exactness() {
         };
         let outcome = measure(&open, -6, name);
         check(&outcome, name);
+        let recording = name.split('/').next().unwrap_or(name);
+        rows.extend(outcome.rows(recording, -6));
+    }
+    if is_whole {
+        hold(RECORDS[1], &rows);
     }
 }

@@ -14,9 +14,10 @@ use host_harness::encode::{HostStorage, Limits, encode as encode_file, readout};
 use host_harness::formats::{self, EventReader};
 use host_harness::frame_file::{FrameReader, LinkReport};
 use host_harness::reconstruct::order::by_time;
+use host_harness::report::keep_order_table::{self, Row};
 use host_harness::scene::{Preset, SceneConfig, emulate};
 use proptest::prelude::*;
-use strategies::{encode, hybrid, job, parse, plain_config};
+use strategies::{encode, hold_against_record, hybrid, job, parse, plain_config};
 
 const CODERS: [Coder; 2] = [Coder::Fast, Coder::Dense];
 
@@ -415,10 +416,11 @@ fn scenes_come_back_in_order() {
     }
 }
 
-/// And what their order costs: at most what the number of orders of equal times does, log2 of it, and a
+/// And what their order costs, which is held against its record: at most what the number of orders of equal times does, log2 of it, and a
 /// little that is learned.
 #[test]
 fn recordings_come_back_in_order() {
+    let (mut rows, mut is_whole) = (Vec::new(), true);
     for (name, most_bits) in [
         ("davis346_building_dense/davis.aedat4", 0.58),
         ("davis240_boxes_moderate/IMU_translBoxes.aedat", 0.09),
@@ -430,11 +432,23 @@ fn recordings_come_back_in_order() {
         let path = folder.join(name);
         if !path.exists() {
             eprintln!("skipped: {} is absent", path.display());
+            is_whole = false;
             continue;
         }
         for coder in CODERS {
             let bits = there_and_back(|| formats::open(&path, None).expect("a recording"), coder);
             assert!(bits < most_bits, "{name}: {bits}");
+            rows.push(Row {
+                recording: name.split('/').next().unwrap_or(name).to_owned(),
+                coder: coder.name().to_owned(),
+                order_bits_per_event: bits,
+            });
         }
+    }
+    if is_whole {
+        let section = keep_order_table::document(&rows);
+        hold_against_record("keep-order", &rows, 0.0, keep_order_table::MARKS, |_| {
+            Some(section)
+        });
     }
 }

@@ -1,8 +1,8 @@
 //! Rate control: no second exceeds its budget, no window is without a frame, every event is
 //! accounted for, and full fidelity returns when a flood is over.
 //!
-//! The table of a flood under three budgets, of a shared recording where it is present, is printed
-//! with `--nocapture`.
+//! A flood under three budgets, of a shared recording where it is present, is held against
+//! `host-harness/record/rate-control.json`, of which the README's table is made.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU32;
@@ -15,8 +15,9 @@ use host_harness::decode::WindowReader;
 use host_harness::formats::{self, EventReader, Skipped};
 use host_harness::frame_file::FrameReader;
 use host_harness::metrics::compare;
+use host_harness::report::rate_control_table::{self, Row};
 use proptest::prelude::*;
-use strategies::{encode, parse, plain_config};
+use strategies::{encode, hold_against_record, parse, plain_config};
 
 /// A frame without events, which every window has room for: the budget is exceeded by no more.
 const EMPTY_FRAME_BYTES: u64 = 80;
@@ -239,7 +240,7 @@ fn full_fidelity_returns_within_two_windows() {
     }
 }
 
-/// The flood of a real sensor under the budgets of links: printed, and checked.
+/// The flood of a real sensor under the budgets of links: checked, and held against its record.
 #[test]
 fn a_flood_fits_its_link() {
     let path = "../../shared/data/gen3_vga_dense_evt2/evt2.raw";
@@ -263,10 +264,7 @@ fn a_flood_fits_its_link() {
             })
         })
         .collect();
-    println!(
-        "| bytes a second | coder | exact | approximate | missing | emd_pixel_us | most in a second |"
-    );
-    println!("|---|---|---|---|---|---|---|");
+    let mut rows = Vec::new();
     // Of the last pass: what was learned at first has settled.
     let last_pass_us = first + 15 * (last + 1 - first);
     for budget in [12_800_000, 4_000_000, 1_000_000] {
@@ -283,15 +281,16 @@ fn a_flood_fits_its_link() {
                 }
             }
             let share = |count: u64| 100.0 * count as f64 / events.len() as f64;
-            println!(
-                "| {budget} | {} | {:.1} % | {:.1} % | {:.1} % | {:.0} | {} |",
-                coder.name(),
-                share(exact),
-                share(approximate),
-                share(missing),
-                emd_pixel_us(reader.sensor(), &events, &frames, last_pass_us),
-                most_in_a_second(&frames)
-            );
+            rows.push(Row {
+                bytes_per_second: budget,
+                coder: coder.name().to_owned(),
+                events: events.len() as u64,
+                exact,
+                approximate,
+                missing,
+                emd_pixel_us: emd_pixel_us(reader.sensor(), &events, &frames, last_pass_us),
+                most_in_a_second: most_in_a_second(&frames),
+            });
             if budget == 12_800_000 {
                 assert_eq!(exact as usize, events.len());
             }
@@ -301,4 +300,13 @@ fn a_flood_fits_its_link() {
             }
         }
     }
+    let section = rate_control_table::document(&rows);
+    print!("{section}");
+    hold_against_record(
+        "rate-control",
+        &rows,
+        0.0,
+        rate_control_table::MARKS,
+        |_| Some(section),
+    );
 }

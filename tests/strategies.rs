@@ -2,12 +2,19 @@
 
 pub mod one_pixel;
 
+use std::path::Path;
+
 use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Push, Quantiser, Scan, Sensor,
     Thresholds, Transform, WindowConfig, scan,
 };
 use host_harness::encode::HostStorage;
+use host_harness::record_file::{self, RecordFile};
+use host_harness::report::marks::Marks;
 use proptest::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 /// A sensor with sides of 1 to 80: several segments in a row, and a last one that is not full.
 pub fn sensor() -> impl Strategy<Value = Sensor> {
@@ -149,5 +156,58 @@ pub fn parse(bytes: &[u8]) -> Frame<'_> {
     match scan(bytes) {
         Scan::Frame(frame) if frame.bytes == bytes.len() => frame,
         other => panic!("not one whole frame: {other:?}"),
+    }
+}
+
+/// Holds what a test measured against its committed record, or writes that, and the README's section,
+/// where `EECVS_BLESS` is set: `section` makes it, if it can, of the records in a folder. Numbers may be apart by
+/// `tolerance` of the record's: where floats decide, another machine's `sin` is not this one's to the last bit. The
+/// README is compared with its record by a test of `host-harness`.
+///
+/// # Panics
+/// Rows that are not those of the record.
+pub fn hold_against_record<R>(
+    name: &str,
+    rows: &[R],
+    tolerance: f64,
+    marks: Marks,
+    section: impl FnOnce(&Path) -> Option<String>,
+) where
+    R: Serialize + DeserializeOwned + std::fmt::Debug,
+{
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let folder = root.join("host-harness/record");
+    if std::env::var_os("EECVS_BLESS").is_some() {
+        record_file::write(&folder, name, rows).expect("the record is writable");
+        let readme = root.join("README.md");
+        if let Some(section) = section(&folder) {
+            marks.write(&readme, &section).expect("the README's marks");
+        }
+        return;
+    }
+    let record: RecordFile<R> = record_file::read(&folder, name).expect("a record");
+    let values = |rows: &[R]| serde_json::to_value(rows).expect("plain data");
+    assert!(
+        is_near(&values(rows), &values(&record.rows), tolerance),
+        "not the rows of {name}.json, which `host-harness/record.sh` writes anew: {rows:#?}"
+    );
+}
+
+/// Whether two values are the same, but for numbers that are apart by `tolerance` of the second at the most.
+fn is_near(a: &Value, b: &Value, tolerance: f64) -> bool {
+    match (a, b) {
+        (Value::Number(a), Value::Number(b)) => a
+            .as_f64()
+            .zip(b.as_f64())
+            .is_some_and(|(a, b)| (a - b).abs() <= tolerance * b.abs()),
+        (Value::Array(a), Value::Array(b)) => {
+            a.len() == b.len() && a.iter().zip(b).all(|(a, b)| is_near(a, b, tolerance))
+        }
+        (Value::Object(a), Value::Object(b)) => {
+            a.len() == b.len()
+                && a.iter()
+                    .all(|(key, a)| b.get(key).is_some_and(|b| is_near(a, b, tolerance)))
+        }
+        _ => a == b,
     }
 }

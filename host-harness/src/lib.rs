@@ -20,6 +20,7 @@ pub mod npy;
 pub mod output_file;
 pub mod progress;
 pub mod reconstruct;
+pub mod record_file;
 pub mod recording_info;
 pub mod recordings;
 pub mod reference;

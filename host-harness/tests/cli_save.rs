@@ -54,6 +54,9 @@ fn only_recordings_and_whole_runs_are_saved() {
             .eecvs(&format!("{line} --save page.md"))
             .fails(&["page.md", "--recordings"]);
         assert_eq!(folder.bytes("page.md"), text.as_bytes());
+        folder
+            .eecvs(&format!("{line} --record records"))
+            .fails(&["records", "--recordings"]);
     }
     for line in [
         "bench --quick",
@@ -64,8 +67,10 @@ fn only_recordings_and_whole_runs_are_saved() {
         "demo --scene outdoor-dark",
         "demo --seed 2",
     ] {
-        let outcome = folder.eecvs(&format!("{line} --save page.md"));
-        assert_eq!(outcome.status, Some(2), "{outcome}");
+        for place in ["--save page.md", "--record records"] {
+            let outcome = folder.eecvs(&format!("{line} {place}"));
+            assert_eq!(outcome.status, Some(2), "{outcome}");
+        }
     }
 }
 

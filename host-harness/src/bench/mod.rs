@@ -28,8 +28,9 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, ensure};
 use eecvs_nostd::{Kernel, Transform};
 use num_complex::Complex64;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+use crate::record_file::{Name, name};
 use crate::reference::transform as oracle;
 use cut::Cut;
 use window::{Pixel, Windows};
@@ -108,23 +109,27 @@ impl Effort {
 }
 
 /// One point; the fields are its JSON keys.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// `table`, `recurrence`, `precise`, `micromath`, `libm`, `haar`, or a peer's name.
-    pub kernel: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub kernel: Name,
     /// `dct`, `dtft`, `dwt`; `none` for a voxel grid.
-    pub transform: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub transform: Name,
     /// M; the number of bins of a voxel grid.
     pub m: u8,
     /// `host`, `cortex-m4` or `cortex-m7`.
-    pub target: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub target: Name,
     /// Name of the cut, or `all`; with `-crowded` after it, the pixels of
     /// [`window::CROWDED_EVENTS`] and more events alone.
     pub window: Cow<'static, str>,
     /// Median.
     pub cost: f64,
     /// `ns/event` or `instructions/event`.
-    pub unit: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub unit: Name,
     /// First quartile.
     pub cost_low: f64,
     /// Third quartile.

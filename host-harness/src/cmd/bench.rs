@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
+use serde::Serialize;
 
 use super::bench_rate::Rate;
 use super::output::{print, print_json};
@@ -17,6 +18,7 @@ use crate::bench::{
     Effort, Origin, Row, errors, measure, over_windows, scaling, skips, steps, windows,
 };
 use crate::progress::Progress;
+use crate::record_file;
 use crate::report::marks::Marks;
 use crate::report::{error_chart, kernel_chart, kernel_table, rate_table, skip_table};
 
@@ -91,6 +93,10 @@ pub struct Bench {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "scaling", "errors"])]
     save: Vec<PathBuf>,
 
+    /// Also write the rows as a committed record, of which the table is made again, into this folder
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["quick", "scaling", "errors"])]
+    record: Option<PathBuf>,
+
     /// Print one JSON array of rows instead of the table
     #[arg(long)]
     json: bool,
@@ -136,6 +142,7 @@ impl Bench {
         let merged = over_windows(&rows);
         let files = self.chart(&merged, &cuts)?;
         self.save(kernel_table::document(&merged))?;
+        self.record("kernels", &merged)?;
         if self.json {
             eprintln!("eecvs: instructions: {source}");
             return print_json(&rows);
@@ -157,6 +164,7 @@ impl Bench {
             quick: self.quick,
             json: self.json,
             save: &self.save,
+            record: self.record.as_deref(),
         }
     }
 
@@ -179,6 +187,7 @@ impl Bench {
         drop(progress);
         let rows = rows?;
         self.save(skip_table::document(&rows))?;
+        self.record("skips", &rows)?;
         if self.json {
             print_json(&rows)
         } else {
@@ -199,7 +208,8 @@ impl Bench {
 
     /// Says so before anything is measured where the document's table would not be of what it is of.
     fn can_save(&self, has_recordings: bool) -> Result<()> {
-        if let Some(document) = self.save.first() {
+        let place = self.save.first().or(self.record.as_ref());
+        if let Some(document) = place {
             ensure!(
                 has_recordings,
                 "{}: its table is of recordings, which are not all in {}: --recordings names their \
@@ -224,6 +234,14 @@ impl Bench {
             self.marks(document).write(document, &table)?;
         }
         Ok(())
+    }
+
+    /// Writes the rows as a record, where a folder of records is named.
+    fn record<R: Serialize>(&self, name: &str, rows: &[R]) -> Result<()> {
+        match &self.record {
+            Some(folder) => record_file::write(folder, name, rows),
+            None => Ok(()),
+        }
     }
 
     /// What is measured.

@@ -8,6 +8,7 @@ use anyhow::{Context, Result, ensure};
 use super::output::{print, print_json};
 use crate::bench::rate::{Effort, Row, lossless, measure};
 use crate::progress::Progress;
+use crate::record_file;
 use crate::recordings;
 use crate::report::{rate_chart, rate_table};
 use crate::source::{self, Source};
@@ -26,6 +27,8 @@ pub struct Rate<'o> {
     pub json: bool,
     /// Documents with the marks, which were checked.
     pub save: &'o [PathBuf],
+    /// Folder of records, where one is asked for.
+    pub record: Option<&'o Path>,
 }
 
 impl Rate<'_> {
@@ -35,7 +38,8 @@ impl Rate<'_> {
     /// A recording that cannot be read, a codec that does not give back what it promises, a folder
     /// that cannot be written, `save` without every peer.
     pub fn run(&self) -> Result<()> {
-        if let (Some(document), Some(missing)) = (self.save.first(), lossless::missing()) {
+        let place = self.save.first().map(PathBuf::as_path).or(self.record);
+        if let (Some(document), Some(missing)) = (place, lossless::missing()) {
             anyhow::bail!("{}: its table has {missing}", document.display());
         }
         let effort = if self.quick {
@@ -52,6 +56,9 @@ impl Rate<'_> {
             let table = table(&rows);
             let table = table.context("a row of the table was not measured: please report this")?;
             marks.write(document, &table)?;
+        }
+        if let Some(folder) = self.record {
+            record_file::write(folder, "rates", &rows)?;
         }
         if let Some(missing) = lossless::missing() {
             eprintln!("eecvs: {missing}");

@@ -23,6 +23,7 @@ use crate::frame_file::FrameReader;
 use crate::metrics;
 use crate::progress::Progress;
 use crate::reconstruct::events::Finder;
+use crate::record_file;
 use crate::report::chart;
 use crate::report::demo::{MARKS, Page, Row, document, table};
 use crate::report::frame_picture::{FrameStyle, FrameSums, comparison_strip};
@@ -50,6 +51,10 @@ pub struct Demo {
     /// Also write the table into a document, README.md, between the lines that name this command
     #[arg(long, value_name = "FILE", conflicts_with_all = ["scene", "seed"])]
     save: Option<PathBuf>,
+
+    /// Also write the rows as a committed record, of which the table is made again, into this folder
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "seed"])]
+    record: Option<PathBuf>,
 }
 
 /// Files and settings of the run.
@@ -119,6 +124,9 @@ impl Demo {
 
         if let Some(path) = &self.save {
             MARKS.write(path, &document(&rows))?;
+        }
+        if let Some(folder) = &self.record {
+            record_file::write(folder, "demo", &rows)?;
         }
 
         let pictures = run.pictures()?;

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::{Header, OUTPUT_BYTES_MIN, Transform};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::formats::{EventReader, Pause};
 pub use codec::Codec;
@@ -31,7 +31,7 @@ pub fn all_cores() -> NonZeroUsize {
 }
 
 /// What `eecvs encode` reports; the fields are its JSON keys.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct EncodeSummary {
     /// Events read.
     pub events_in: u64,

@@ -35,7 +35,7 @@ pub mod windows;
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::Sensor;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::formats::EventReader;
 use emd_pixel::Matcher;
@@ -47,7 +47,7 @@ use windows::{Grid, Pairs, WindowPair, Windower, first_time_us};
 pub type Open<'a> = &'a dyn Fn() -> Result<Box<dyn EventReader>>;
 
 /// What [`compare`] found; the names are the keys of the JSON object. All numbers are finite.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Comparison {
     /// Events of A.
     pub events_a: u64,

@@ -2,15 +2,19 @@
 
 use std::fmt::Write as _;
 
+use serde::{Deserialize, Serialize};
+
 use super::marks::Marks;
 use crate::encode::EncodeSummary;
 use crate::metrics::Comparison;
+use crate::record_file::{Name, name};
 
 /// One way of encoding the scene, and how well it came back.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Row {
     /// `auto`, `dct`, `dtft` or `dwt`; or a coder, with what was asked of it.
-    pub name: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub name: Name,
     /// The frames hold coefficients.
     pub is_transform: bool,
     /// What the encoder did.

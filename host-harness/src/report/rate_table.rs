@@ -117,6 +117,25 @@ fn duels<'r>(
         .collect()
 }
 
+/// Bits of coefficients over those of events, for each way of measuring what is lost, of mode `transform` by the
+/// coder of that suffix: of every setting, and of the best one of each recording and transform.
+#[must_use]
+pub fn ratios(rows: &[Row], suffix: &str) -> (Vec<f64>, Vec<f64>) {
+    let (mut all, mut best) = (Vec::new(), Vec::new());
+    for recording in recordings(rows) {
+        for (codec, _) in TRANSFORMS {
+            for distortion in [of_times as Distortion, of_volume] {
+                let codec = format!("{codec}{suffix}");
+                let duels = duels(rows, recording, &codec, distortion);
+                let ratios: Vec<f64> = duels.iter().map(Duel::ratio).collect();
+                best.extend(ratios.iter().copied().reduce(f64::min));
+                all.extend(ratios);
+            }
+        }
+    }
+    (all, best)
+}
+
 /// Names of the recordings, in their order.
 #[must_use]
 pub fn recordings(rows: &[Row]) -> Vec<&str> {

@@ -140,7 +140,8 @@ fn program() -> String {
 }
 
 /// Processor and threads, as the system tells them.
-fn machine() -> String {
+#[must_use]
+pub fn machine() -> String {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = text
@@ -152,7 +153,8 @@ fn machine() -> String {
 }
 
 /// Today's, as `2026-11-22`.
-fn date() -> String {
+#[must_use]
+pub fn date() -> String {
     let since = SystemTime::now()
         .duration_since(UNIX_EPOCH)
         .unwrap_or_default();

@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use eecvs_nostd::{Coder, Event, Fidelity, Hybrid, Transform};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::baseline::dense_array::{StoredArray, Window};
 use crate::baseline::representation::{self, Made, Representation};
@@ -25,6 +25,7 @@ use crate::baseline::stored::Stored;
 use crate::baseline::tore::{self, Tore};
 use crate::baseline::voxel::Voxel;
 use crate::metrics::{Comparison, compare};
+use crate::record_file::{Name, name};
 use crate::source::{Memory, Source, WINDOW_US};
 use check::{Promise, check};
 use volume::{BINS, Volume};
@@ -74,13 +75,14 @@ impl Effort {
 }
 
 /// One point; the fields are its JSON keys. `None` where the metric does not apply.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Its name.
     pub recording: String,
     /// `hybrid-dense`, `hybrid-fast`, `transform-dct`, `transform-dct-fast`, `transform-dct-dense`, ...,
     /// or a peer's name.
-    pub codec: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub codec: Name,
     /// `lossless`, `50 us`, `8 bins`, `M = 16`; type and bins of an array.
     pub setting: String,
     /// 8 * bytes of the files / events.

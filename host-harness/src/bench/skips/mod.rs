@@ -22,9 +22,10 @@ use eecvs_nostd::{
     Coded, Config, Descriptor, Encoded, Encoder, FRAME_BYTES_MAX, Frame, Header, Level, Mode, Push,
     Thresholds, Transform, WindowConfig, bitmap_words, segments,
 };
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::encode::HostStorage;
+use crate::record_file::{Name, name};
 use plain::{Plain, Skips};
 use source::{Source, WINDOW_US, Window};
 
@@ -46,7 +47,7 @@ const SINGLES: &str = "single events as cells";
 const NO_ROOM: &str = "a frame has no room for its window";
 
 /// How a figure came about.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum How {
     /// Both were run and timed.
@@ -70,19 +71,23 @@ impl How {
 }
 
 /// One kind of skipping; the fields are its JSON keys.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Name of the recording or scene.
-    pub recording: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub recording: Name,
     /// Transform.
-    pub transform: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub transform: Name,
     /// M.
     pub m: u8,
     /// What is skipped. `everything` is the core's encoder against the plain one that skips nothing,
     /// `nothing` against the one that skips the same: the code itself.
-    pub skip: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub skip: Name,
     /// Of both figures: `us`, `bits` or `coefficients`, per `window` or `recording`.
-    pub unit: &'static str,
+    #[serde(deserialize_with = "name")]
+    pub unit: Name,
     /// With the skipping.
     pub with: f64,
     /// Without.
@@ -92,6 +97,7 @@ pub struct Row {
     /// Timed, packed or counted.
     pub how: How,
     /// What was counted on the way, in all windows measured.
+    #[serde(skip_deserializing)]
     pub counts: BTreeMap<&'static str, u64>,
 }
 

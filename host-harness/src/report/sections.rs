@@ -1,0 +1,266 @@
+//! Every marked section of the documents, made of its committed record.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+
+use super::marks::Marks;
+use super::study::tables;
+use super::{
+    demo, exact_times_table, keep_order_table, kernel_table, rate_control_table, rate_table,
+    skip_table,
+};
+use crate::cmd::report;
+use crate::record_file::{RecordFile, read};
+use crate::study::Results;
+
+/// A section of a document.
+#[derive(Debug)]
+pub struct Section {
+    /// `README.md` or `METHODOLOGY.md`.
+    pub document: &'static str,
+    /// Where it is there.
+    pub marks: Marks,
+    /// What belongs there.
+    pub text: String,
+}
+
+/// The sections whose records are in `folder`.
+///
+/// # Errors
+/// A record that cannot be read, or lacks a row that its section shows.
+pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
+    let whole = |text: Option<String>, name: &str| {
+        text.with_context(|| format!("{}/{name}.json: a row is missing", folder.display()))
+    };
+    let section = |document, marks, text| Section {
+        document,
+        marks,
+        text,
+    };
+    let results = folder.join("results.json");
+    let results = std::fs::read_to_string(&results)
+        .with_context(|| format!("{}: cannot be read", results.display()))?;
+    let results: Results = serde_json::from_str(&results).context("results.json")?;
+    let RecordFile { rows: rates, .. } = read(folder, "rates")?;
+    let RecordFile { rows: kernels, .. } = read(folder, "kernels")?;
+    let RecordFile { rows: skips, .. } = read(folder, "skips")?;
+    let mut times = read(folder, "exact-times-scenes")?.rows;
+    times.extend(read(folder, "exact-times-recordings")?.rows);
+    let (readme, methodology) = ("README.md", "METHODOLOGY.md");
+    Ok(vec![
+        section(
+            readme,
+            demo::MARKS,
+            demo::document(&read(folder, "demo")?.rows),
+        ),
+        section(
+            readme,
+            kernel_table::MARKS,
+            whole(kernel_table::document(&kernels), "kernels")?,
+        ),
+        section(
+            readme,
+            rate_table::README_MARKS,
+            whole(rate_table::readme(&rates), "rates")?,
+        ),
+        section(
+            methodology,
+            rate_table::MARKS,
+            whole(rate_table::document(&rates), "rates")?,
+        ),
+        section(
+            methodology,
+            skip_table::MARKS,
+            whole(skip_table::document(&skips), "skips")?,
+        ),
+        section(
+            readme,
+            rate_control_table::MARKS,
+            rate_control_table::document(&read(folder, "rate-control")?.rows),
+        ),
+        section(
+            readme,
+            keep_order_table::MARKS,
+            keep_order_table::document(&read(folder, "keep-order")?.rows),
+        ),
+        section(
+            readme,
+            exact_times_table::MARKS,
+            whole(exact_times_table::document(&times), "exact-times-*")?,
+        ),
+        section(readme, report::MARKS, tables::document(&results)),
+    ])
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::bench::mcu::{self, Count, Part};
+    use crate::bench::{Row, rate};
+    use crate::report::marks::of_project;
+
+    /// Sections of `tests/`, which compares them with their records in `firmware/`.
+    const ELSEWHERE: [&str; 2] = ["instructions", "kernels"];
+
+    fn folder() -> std::path::PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("record")
+    }
+
+    #[test]
+    fn every_section_of_the_documents_is_of_its_record() {
+        let sections = of_records(&folder()).unwrap();
+        for section in &sections {
+            let text = of_project(section.document);
+            let name = section.marks.name;
+            assert_eq!(
+                section.marks.content(&text).unwrap().trim(),
+                section.text.trim(),
+                "{}: {name} is not of its record: host-harness/record.sh writes both",
+                section.document
+            );
+        }
+        // And there is no other one.
+        for document in ["README.md", "METHODOLOGY.md"] {
+            let text = of_project(document);
+            let begins = text
+                .lines()
+                .filter_map(|line| line.strip_prefix("<!-- ")?.split_once(": "));
+            for (name, _) in begins {
+                let is_known = ELSEWHERE.contains(&name)
+                    || sections
+                        .iter()
+                        .any(|section| (section.document, section.marks.name) == (document, name));
+                assert!(
+                    is_known,
+                    "{document}: nothing is known of the section {name}"
+                );
+            }
+        }
+    }
+
+    /// What the README says of the rates in words.
+    #[test]
+    fn the_sentences_about_rates_are_of_their_record() {
+        let rows: Vec<rate::Row> = read(&folder(), "rates").unwrap().rows;
+        let readme = of_project("README.md");
+        let says = |words: &str| {
+            let readme: Vec<&str> = readme.split_whitespace().collect();
+            assert!(
+                readme.join(" ").contains(words),
+                "the README no longer says: {words}"
+            );
+        };
+        let find = |recording: &str, codec: &str| {
+            rows.iter()
+                .find(|row| {
+                    (row.recording.as_str(), row.codec, row.setting.as_str())
+                        == (recording, codec, "lossless")
+                })
+                .unwrap()
+        };
+        let recordings = rate_table::recordings(&rows);
+        says("Dense takes fewer bits than every lossless peer on all recordings.");
+        for recording in &recordings {
+            let dense = find(recording, "hybrid-dense").bits_per_event;
+            for row in rows.iter().filter(|row| row.recording == *recording) {
+                if row.setting == "lossless" && row.codec != "hybrid-dense" {
+                    assert!(dense < row.bits_per_event, "{recording}: {}", row.codec);
+                }
+            }
+        }
+        says("Fast takes more than xz on four of them, in less than a fiftieth of its time.");
+        let more = |recording: &&&str| {
+            find(recording, "hybrid-fast").bits_per_event > find(recording, "xz-9").bits_per_event
+        };
+        assert_eq!(recordings.iter().filter(more).count(), 4);
+        for recording in &recordings {
+            let (fast, xz) = (find(recording, "hybrid-fast"), find(recording, "xz-9"));
+            assert!(50.0 * fast.seconds < xz.seconds, "{recording}");
+        }
+        says("on every recording and at every M");
+        says("the Haar transform above all, by 1 to 15 %");
+        let (plain, _) = rate_table::ratios(&rows, "");
+        assert!(plain.iter().all(|ratio| *ratio >= 1.0));
+        let (_, best) = rate_table::ratios(&rows, "-dense");
+        let won: Vec<f64> = best.into_iter().filter(|ratio| *ratio < 1.0).collect();
+        let percent = |ratio: f64| (100.0 * (1.0 - ratio)).round();
+        let least = won.iter().copied().fold(0.0, f64::max);
+        let most = won.iter().copied().fold(1.0, f64::min);
+        assert_eq!([percent(least), percent(most)], [1.0, 15.0]);
+    }
+
+    /// What the README says of kernels in words.
+    #[test]
+    fn the_sentences_about_kernels_are_of_their_records() {
+        let rows: Vec<Row> = read(&folder(), "kernels").unwrap().rows;
+        let of = |kernel: &'static str| {
+            let is_it = move |row: &&Row| (row.kernel, row.target) == (kernel, "host");
+            rows.iter().filter(is_it)
+        };
+        assert!(of("haar").count() > 0);
+        assert!(of("haar").all(|row| row.max_error == Some(0.0)));
+        for table in of("table") {
+            for kernel in ["recurrence", "precise", "libm", "micromath"] {
+                let is_same = |row: &&Row| {
+                    (row.transform, row.m, &row.window) == (table.transform, table.m, &table.window)
+                };
+                for row in of(kernel).filter(is_same) {
+                    assert!(
+                        table.cost < row.cost,
+                        "{kernel}, {}, {}",
+                        row.transform,
+                        row.m
+                    );
+                }
+            }
+        }
+        let readme = of_project("README.md");
+        assert!(readme.contains("crowded pixels of the DCT with M = 24 on a microcontroller"));
+        let counts = mcu::saved().unwrap();
+        let mut faster = BTreeSet::new();
+        let per_event = |count: &Count, part: fn(&Count) -> Part| {
+            let is_same = |other: &&Count| {
+                (
+                    &other.target,
+                    &other.kernel,
+                    &other.transform,
+                    other.m,
+                    &other.origin,
+                ) == (
+                    &count.target,
+                    &count.kernel,
+                    &count.transform,
+                    count.m,
+                    &count.origin,
+                )
+            };
+            let sum = counts.iter().filter(is_same).map(part);
+            let (instructions, events) = sum.fold((0, 0), |(instructions, events), part| {
+                (instructions + part.instructions, events + part.events)
+            });
+            instructions as f64 / events as f64
+        };
+        for count in counts.iter().filter(|count| count.origin == "recordings") {
+            let table = Count {
+                kernel: "table".to_owned(),
+                ..count.clone()
+            };
+            for (name, part) in [
+                ("all", (|count| count.all) as fn(&Count) -> Part),
+                ("crowded", |count| count.crowded),
+            ] {
+                if per_event(count, part) < per_event(&table, part) {
+                    let key = (count.kernel.as_str(), count.transform.as_str(), count.m);
+                    faster.insert((key, name));
+                }
+            }
+        }
+        assert_eq!(
+            faster.into_iter().collect::<Vec<_>>(),
+            [(("recurrence", "dct", 24), "crowded")]
+        );
+    }
+}
