@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
 """Writes the seeds in fuzz/seeds/read_hdf5/, which host-harness/tests/formats_hdf5.rs reads as well.
 
-    pip install h5py
+    pip install h5py hdf5plugin
     python3 fuzz/seeds/read_hdf5.py
 """
 
 from pathlib import Path
 
 import h5py
+import hdf5plugin
 import numpy as np
 
 FOLDER = Path(__file__).parent / "read_hdf5"
@@ -39,3 +40,21 @@ with h5py.File(FOLDER / "compound_latest.h5", "w", libver="latest") as file:
     rows = np.zeros(len(I), dtype=fields)
     rows["x"], rows["y"], rows["p"], rows["t"] = X, Y, ON, 1000000 + I * 17
     file.create_dataset("events", data=rows, chunks=(100,), compression="gzip")
+
+
+def dsec(name, **packed):
+    """events/x, y, t in us, p, packed by a filter."""
+    with h5py.File(FOLDER / name, "w", libver="latest") as file:
+        columns = {"x": X.astype("u2"), "y": Y.astype("u2"), "t": (I * 17).astype("u4"), "p": ON.astype("u1")}
+        for column, numbers in columns.items():
+            file.create_dataset(f"events/{column}", data=numbers, chunks=(300,), **packed)
+        file["t_offset"] = np.int64(1000000)
+        file["ms_to_idx"] = np.searchsorted(I * 17, np.arange(0, 5100, 1000)).astype("u8")
+
+
+for codec in ["blosclz", "lz4", "zlib", "zstd", "snappy"]:
+    dsec(f"blosc_{codec}.h5", **hdf5plugin.Blosc(cname=codec, clevel=9, shuffle=hdf5plugin.Blosc.SHUFFLE))
+dsec("blosc_bits.h5", **hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plugin.Blosc.BITSHUFFLE))
+dsec("lzf.h5", compression="lzf", shuffle=True)
+dsec("lz4.h5", **hdf5plugin.LZ4(nbytes=256))
+dsec("zstandard.h5", **hdf5plugin.Zstd())

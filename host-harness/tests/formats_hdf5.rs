@@ -295,6 +295,15 @@ fn files_of_the_library() {
         ("mvsec_unlimited.h5", &mvsec),
         ("dsec_latest.h5", &plain),
         ("compound_latest.h5", &plain),
+        ("blosc_blosclz.h5", &plain),
+        ("blosc_lz4.h5", &plain),
+        ("blosc_zlib.h5", &plain),
+        ("blosc_zstd.h5", &plain),
+        ("blosc_snappy.h5", &plain),
+        ("blosc_bits.h5", &plain),
+        ("lzf.h5", &plain),
+        ("lz4.h5", &plain),
+        ("zstandard.h5", &plain),
     ] {
         let bytes = std::fs::read(folder.join(name)).expect("a seed of the fuzz targets");
         let (got, error) = read(&bytes, None);
@@ -359,8 +368,10 @@ fn what_is_wrong_is_named() {
             0,
             "x: 3 values, but 18446744073709551615 times",
         ),
-        (filtered(32001), 0, "(Blosc): rewrite it with gzip"),
-        (filtered(32000), 0, "(LZF): rewrite it with gzip"),
+        (filtered(32008), 0, "(bitshuffle): rewrite it with gzip"),
+        (filtered(32026), 0, "(Blosc2): rewrite it with gzip"),
+        (filtered(40000), 0, "40000: rewrite it with gzip"),
+        (filtered(32001), 0, "Blosc: damaged Blosc buffer"),
         (
             filtered(36559),
             0,
@@ -498,4 +509,66 @@ fn damage_anywhere() {
         }
         assert!(noticed > 100, "{noticed}");
     }
+}
+
+/// Goes on at `t_us`; the events that follow.
+fn sought(bytes: &[u8], t_us: u64) -> Vec<Event> {
+    let mut reader = open(bytes, None);
+    // From the middle of the file, whatever was read before.
+    reader.read(&mut Vec::new()).expect("a batch");
+    assert!(reader.seek(t_us).expect("a place"));
+    let (got, error) = drain(reader.as_mut());
+    assert!(error.is_none(), "{error:?}");
+    got
+}
+
+#[test]
+fn seeking_finds_every_event_from_a_time_on() {
+    let events = events(2_000_000, EVENTS);
+    let storage = &Storage::Chunked(vec![4096], vec![Filter::Shuffle, Filter::Deflate]);
+    let folder = tempfile::tempdir().expect("a folder");
+    let sensor = Sensor {
+        width: 64,
+        height: 48,
+    };
+    let files = [
+        // An index that nothing is to be learnt from, none at all, and a whole one.
+        (1, dsec_file(&events, 1_000_000, storage)),
+        (1, mvsec_file(&events, &events[..9], &Storage::Contiguous)),
+        (60, support::written(folder.path(), "h5", sensor, &events)),
+    ];
+    let last = events[events.len() - 1].t_us;
+    for (slack, bytes) in files {
+        for t_us in [0, 2_000_000, 2_000_001, 2_333_333, last - 1, last, last + 1] {
+            let first = events.partition_point(|event| event.t_us < t_us);
+            let got = sought(&bytes, t_us);
+            assert!(events.ends_with(&got), "{t_us}");
+            let more = got.len() - (events.len() - first);
+            assert!(more < slack, "{t_us}: {more} earlier events");
+        }
+    }
+}
+
+#[test]
+fn a_recording_of_days_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let sensor = Sensor {
+        width: 64,
+        height: 48,
+    };
+    let at = |t_us| Event {
+        t_us,
+        ..events(0, 1)[0]
+    };
+    let write = |events: &[Event]| {
+        let mut writer = formats::create(&folder.path().join("a.h5"), sensor).expect("a file");
+        writer.write(events)
+    };
+    let error = write(&[at(5), at(5 + (1 << 37))]).expect_err("two days");
+    let error = error.to_string();
+    assert!(
+        error.contains("event 1") && error.contains("38 hours"),
+        "{error}"
+    );
+    write(&[at(1 << 40), at(3), at((1 << 40) + 100_000_000)]).expect("a step back");
 }

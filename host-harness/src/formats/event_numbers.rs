@@ -28,21 +28,41 @@ pub const SAMPLE_ROWS: usize = 1000;
 /// t, x, y, p of an event; `None` is an unsigned number above 2^63 - 1.
 pub type Row = [Option<Number>; 4];
 
-/// The event of a row, float times in seconds or in microseconds; else which of t, x, y and p is
-/// wrong, and how.
-pub fn event(row: &Row, seconds: bool, sensor: Sensor) -> Result<Event, (usize, String)> {
+/// What the numbers of the times are.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct TimeUnit {
+    /// Whether floats are seconds; else they are microseconds, as whole numbers are.
+    pub seconds: bool,
+    /// What is added to every time, in us.
+    pub offset_us: u64,
+}
+
+impl TimeUnit {
+    /// The time in us; `None` where it is negative, no number or above 2^63 - 1.
+    pub fn us(self, time: Number) -> Option<u64> {
+        let t = match time {
+            Number::Whole(t) => t,
+            Number::Float(t) => {
+                let t = if self.seconds { t * 1e6 } else { t }.round();
+                if !(-9.2e18..9.2e18).contains(&t) {
+                    return None;
+                }
+                t as i64
+            }
+        };
+        let offset = i64::try_from(self.offset_us).ok()?;
+        t.checked_add(offset)
+            .and_then(|t_us| u64::try_from(t_us).ok())
+    }
+}
+
+/// The event of a row; else which of t, x, y and p is wrong, and how.
+pub fn event(row: &Row, unit: TimeUnit, sensor: Sensor) -> Result<Event, (usize, String)> {
     let number = |which: usize| {
         let number = row.get(which).copied().flatten();
         number.ok_or_else(|| (which, "a number above 2^63".to_owned()))
     };
-    let time = match number(T)? {
-        Number::Whole(t) => u64::try_from(t).ok(),
-        Number::Float(t) => {
-            let t = if seconds { t * 1e6 } else { t }.round();
-            (0.0..9.2e18).contains(&t).then_some(t as u64)
-        }
-    };
-    let t_us = time.ok_or_else(|| {
+    let t_us = unit.us(number(T)?).ok_or_else(|| {
         let what = "the time is negative, no number or above 2^63 us";
         (T, what.to_owned())
     })?;

@@ -9,8 +9,8 @@ use eecvs_nostd::Sensor;
 use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
 use super::{
-    EventReader, EventWriter, aedat2, aedat4, dat, es, evt2, evt3, evt4, evt21, hdf5, npz, ros,
-    text,
+    EventReader, EventWriter, aedat2, aedat4, arrow, dat, es, evt2, evt3, evt4, evt21, hdf5, npz,
+    parquet, ros, text,
 };
 
 /// Bytes that a format is told by.
@@ -28,6 +28,8 @@ pub const FORMATS: &[Format] = &[
     es::FORMAT,
     hdf5::FORMAT,
     npz::FORMAT,
+    arrow::FORMAT,
+    parquet::FORMAT,
     ros::bag::FORMAT,
     ros::db3::FORMAT,
     ros::mcap::FORMAT,

@@ -121,6 +121,31 @@ impl Dtype {
         self.kind == b'f'
     }
 
+    /// Appends every number of `bytes`; the common types without a look at the type for each of them.
+    pub fn numbers(self, bytes: &[u8], out: &mut Vec<Option<Number>>) {
+        fn each<const N: usize>(
+            bytes: &[u8],
+            out: &mut Vec<Option<Number>>,
+            number: impl Fn([u8; N]) -> Number,
+        ) {
+            let numbers = bytes.as_chunks().0.iter();
+            out.extend(numbers.map(|bytes| Some(number(*bytes))));
+        }
+        let whole = |value: i64| Number::Whole(value);
+        match (self.kind, self.bytes, self.big_endian) {
+            (b'i', 8, false) => each(bytes, out, |bytes| whole(i64::from_le_bytes(bytes))),
+            (b'i', 4, false) => each(bytes, out, |bytes| whole(i32::from_le_bytes(bytes).into())),
+            (b'u', 4, false) => each(bytes, out, |bytes| whole(u32::from_le_bytes(bytes).into())),
+            (b'u', 2, false) => each(bytes, out, |bytes| whole(u16::from_le_bytes(bytes).into())),
+            (b'u' | b'b', 1, _) => each(bytes, out, |[byte]| whole(byte.into())),
+            (b'f', 8, false) => each(bytes, out, |bytes| Number::Float(f64::from_le_bytes(bytes))),
+            _ => {
+                let numbers = bytes.chunks_exact(self.bytes.max(1));
+                out.extend(numbers.map(|bytes| self.number(bytes)));
+            }
+        }
+    }
+
     /// The number at the start of `bytes`; `None` where it is too short, or an unsigned number
     /// above 2^63 - 1.
     #[inline]
@@ -367,6 +392,29 @@ fn accept(rest: &mut &str, token: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn many_numbers_are_those_of_each() {
+        let bytes: Vec<u8> = (0..64_u8).map(|i| i.wrapping_mul(91)).collect();
+        for (kind, size) in [b'b', b'i', b'u', b'f']
+            .into_iter()
+            .flat_map(|kind| [1, 2, 4, 8].map(|size| (kind, size)))
+        {
+            for big_endian in [false, true] {
+                let Some(dtype) = Dtype::new(kind, big_endian, size) else {
+                    continue;
+                };
+                let want: Vec<_> = bytes
+                    .chunks(size)
+                    .map(|bytes| dtype.number(bytes))
+                    .collect();
+                let mut got = Vec::new();
+                dtype.numbers(&bytes, &mut got);
+                // NaN is not itself.
+                assert_eq!(format!("{got:?}"), format!("{want:?}"), "{dtype:?}");
+            }
+        }
+    }
 
     #[test]
     fn headers_of_numpy() {

@@ -16,7 +16,7 @@
 use eecvs_nostd::{Event, Sensor};
 
 use super::Skipped;
-use super::event_numbers;
+use super::event_numbers::{self, TimeUnit};
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, ReadSeek, Reader};
 use super::npz_layout::{Field, NpzFile, Plan, Stream, count, fill};
@@ -91,7 +91,11 @@ impl NpzDecoder {
     fn event(&self, row: usize) -> Result<Event, (usize, String)> {
         let number = |field: Field| self.streams.get(field.stream)?.number(row, field);
         let numbers = self.plan.fields.map(number);
-        event_numbers::event(&numbers, self.plan.seconds, self.sensor)
+        let unit = TimeUnit {
+            seconds: self.plan.seconds,
+            offset_us: 0,
+        };
+        event_numbers::event(&numbers, unit, self.sensor)
     }
 
     fn error(&self, stream: usize, what: impl std::fmt::Display) -> anyhow::Error {

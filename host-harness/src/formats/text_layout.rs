@@ -77,15 +77,15 @@ impl Header {
                 None => (name.as_str(), None),
             };
             let slot = match name {
-                "x" | "col" | "column" | "x_px" => {
+                "x" | "xs" | "col" | "column" | "x_px" => {
                     width = side;
                     &mut x
                 }
-                "y" | "row" | "y_px" => {
+                "y" | "ys" | "row" | "y_px" => {
                     height = side;
                     &mut y
                 }
-                "p" | "pol" | "polarity" | "polarities" | "on" => &mut p,
+                "p" | "ps" | "pol" | "polarity" | "polarities" | "on" => &mut p,
                 _ => {
                     let (stem, shift) = time_name(name);
                     if !matches!(
@@ -114,6 +114,11 @@ impl Header {
             layout,
             sensor: width.zip(height),
         })
+    }
+
+    /// Where the columns are.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
     }
 }
 

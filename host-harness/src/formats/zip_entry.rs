@@ -3,17 +3,15 @@
 //! The crate `zip` finds the entries, but lends its source to one entry at a time; columns of an
 //! npz must be read in step. So each entry gets its own view of the source and its own inflater.
 
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::io::{self, BufReader, Read};
+use std::sync::{Arc, Mutex};
 
 use flate2::Crc;
 use flate2::bufread::DeflateDecoder;
 use zip::CompressionMethod;
 
 use super::input::ReadSeek;
-
-/// A source that several entries read.
-type Shared = Arc<Mutex<Box<dyn ReadSeek>>>;
+use super::section::{Section, Shared};
 
 /// Bytes read from the source at once.
 const BUFFER_BYTES: usize = 1 << 15;
@@ -82,11 +80,7 @@ impl Entries {
 
     /// Reads an entry from its start.
     pub fn open(&self, entry: &Entry) -> EntryReader {
-        let section = Section {
-            source: Arc::clone(&self.source),
-            at: entry.start,
-            left: entry.stored,
-        };
+        let section = Section::new(&self.source, entry.start, entry.stored);
         let section = BufReader::with_capacity(BUFFER_BYTES, section);
         let data = if entry.deflated {
             Data::Deflated(Box::new(DeflateDecoder::new(section)))
@@ -99,28 +93,6 @@ impl Entries {
             want: entry.crc,
             left: entry.size,
         }
-    }
-}
-
-/// A part of the source.
-struct Section {
-    source: Shared,
-    at: u64,
-    left: u64,
-}
-
-impl Read for Section {
-    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
-        let room = usize::try_from(self.left)
-            .unwrap_or(usize::MAX)
-            .min(bytes.len());
-        let bytes = bytes.get_mut(..room).unwrap_or_default();
-        let mut source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
-        source.seek(SeekFrom::Start(self.at))?;
-        let read = source.read(bytes)?;
-        self.at += read as u64;
-        self.left -= read as u64;
-        Ok(read)
     }
 }
 

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 /// Every extension that can be written, and a sensor that its format can hold.
 #[allow(dead_code, reason = "not every test file writes recordings")]
-pub const FORMATS: [(&str, Sensor); 12] = [
+pub const FORMATS: [(&str, Sensor); 16] = [
     (
         "aedat4",
         Sensor {
@@ -85,6 +85,34 @@ pub const FORMATS: [(&str, Sensor); 12] = [
         Sensor {
             width: 34,
             height: 34,
+        },
+    ),
+    (
+        "h5",
+        Sensor {
+            width: 346,
+            height: 260,
+        },
+    ),
+    (
+        "arrow",
+        Sensor {
+            width: 1280,
+            height: 720,
+        },
+    ),
+    (
+        "arrows",
+        Sensor {
+            width: 640,
+            height: 480,
+        },
+    ),
+    (
+        "parquet",
+        Sensor {
+            width: 2048,
+            height: 2048,
         },
     ),
     (

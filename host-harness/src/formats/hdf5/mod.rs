@@ -2,28 +2,44 @@
 //!
 //! * MVSEC: `davis/left/events`, of shape (N, 4), columns x, y, t in seconds, p = 1 or -1; the
 //!   sensor is 346 x 260.
-//! * DSEC: `events/x`, `y`, `t` in us, `p`; `t_offset`, where it is there, is added to every time.
+//! * DSEC: `events/x`, `y`, `t` in us, `p`; `t_offset`, where it is there, is added to every time, and
+//!   `ms_to_idx`, the first event of every millisecond after it, tells where to go on. Without such an
+//!   index, times are taken to ascend and are bisected.
+//! * Prophesee: compounds x, y, p, t in us at `CD/events`; their triggers are not read.
 //! * Columns of these or longer names (xs, ts, timestamp, polarity, ...) in the root, `events`,
 //!   `CD/events`, `prophesee/left` or `davis/left/events`; compounds with such fields, or a table of
 //!   shape (N, 4), in `events`. EHPT-XC's layout is not published: docs/datasets.md says what is known.
 //! * Any other place, and a second camera, is named behind the file's name, as h5ls does:
 //!   `indoor_flying1_data.hdf5/davis/right/events`.
 //!
-//! Types, the unit of times, polarities and the sensor's size are as in npz files. Datasets may be
-//! contiguous or in chunks, packed by gzip with or without shuffle; other filters are named in the
-//! error. The reader holds one batch, some chunks and pieces of the file's structures. It does not
-//! follow links to other files.
+//! Types, the unit of times and polarities are as in npz files. The sensor's size is that of the root's
+//! attributes `width` and `height`, or Prophesee's `geometry`; else the caller's; else that of the data
+//! set's cameras; else the largest x and y plus one. Datasets may be contiguous or in chunks, packed by
+//! gzip, Blosc, LZF, LZ4 or Zstandard, with or without shuffle; other filters are named in the error (Blosc
+//! 2, bitshuffle, Prophesee's ECF, of which no kept decoder exists but their own plugin). The reader holds one batch, some chunks and pieces of the file's
+//! structures. It does not follow links to other files.
+//!
+//! Files are written in DSEC's layout.
 
-use eecvs_nostd::{Event, Sensor};
+mod blosc;
+mod copies;
+mod file;
+mod filters;
+mod layout;
+mod structures;
+mod writer;
 
-pub use super::hdf5_file::MAGIC;
+use eecvs_nostd::Sensor;
 
-use super::Skipped;
-use super::event_numbers::{self, Row};
-use super::format::{Format, Limits, Opening, Start};
-use super::hdf5_file::Hdf5;
-use super::hdf5_layout::Plan;
-use super::input::{Batch, Decode, ReadSeek, Reader};
+pub use self::file::MAGIC;
+pub use self::writer::Hdf5Writer;
+
+use self::file::Hdf5;
+use self::layout::Plan;
+use crate::formats::Skipped;
+use crate::formats::event_numbers;
+use crate::formats::format::{Format, Limits, Opening, Start};
+use crate::formats::input::{Batch, Decode, ReadSeek, Reader};
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -40,8 +56,9 @@ pub const FORMAT: Format = Format {
            }| Ok(Box::new(Hdf5Reader::new(source, name, place, size)?)),
     has_places: true,
     grows: false,
+    // And 38 hours from the first event to the last, which no limit of a single event tells.
     limits: Limits::NONE,
-    create: None,
+    create: Some(|path, sensor| Ok(Box::new(Hdf5Writer::create(path, sensor)?))),
 };
 
 /// Whether a file begins with HDF5's signature, behind a user block if there is one.
@@ -57,7 +74,8 @@ pub type Hdf5Reader = Reader<Hdf5Decoder>;
 
 impl Hdf5Reader {
     /// Reads `source`, which messages call `name`; `place` is the dataset or group of the events, if
-    /// not one that is known; `size` counts before what the data set's cameras have.
+    /// not one that is known; `size` counts before what the data set's cameras have,
+    /// but not before what the file states.
     ///
     /// # Errors
     /// No HDF5 file, no events of a known layout, no size and no event.
@@ -69,7 +87,7 @@ impl Hdf5Reader {
     ) -> anyhow::Result<Self> {
         let file = Hdf5::open(source, name)?;
         let plan = Plan::find(&file, place, size)?;
-        let sensor = match size.or(plan.sensor) {
+        let sensor = match file.stated_size().or(size).or(plan.sensor) {
             Some(sensor) => sensor,
             None => plan.largest(&file)?,
         };
@@ -96,17 +114,6 @@ pub struct Hdf5Decoder {
 }
 
 impl Hdf5Decoder {
-    fn event(&self, row: &Row) -> Result<Event, (usize, String)> {
-        let mut event = event_numbers::event(row, self.plan.seconds, self.sensor)?;
-        let t_us = event.t_us.checked_add(self.plan.offset_us);
-        let t_us = t_us.filter(|t_us| i64::try_from(*t_us).is_ok());
-        event.t_us = t_us.ok_or_else(|| {
-            let what = "the time with t_offset is above 2^63 us";
-            (event_numbers::T, what.to_owned())
-        })?;
-        Ok(event)
-    }
-
     fn error(&self, which: usize, what: &str) -> anyhow::Error {
         let what = format!("event {}: {what}", self.events);
         match self.plan.dataset(which) {
@@ -129,12 +136,21 @@ impl Decode for Hdf5Decoder {
         &self.skipped
     }
 
+    fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
+        // Where a probe meets damage, reading on does too, and tells where.
+        let Ok(event) = self.plan.place(t_us) else {
+            return Ok(false);
+        };
+        self.events = event;
+        Ok(true)
+    }
+
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
         let count = (self.plan.events - self.events).min(batch.room() as u64);
         let rows = self.plan.read_whole(self.events, count);
         let rows = rows.map_err(|error| self.plan.error(&self.file, self.events, &error))?;
         for row in &rows {
-            match self.event(row) {
+            match event_numbers::event(row, self.plan.unit, self.sensor) {
                 Ok(event) => batch.push(event),
                 Err((which, what)) => return Err(self.error(which, &what)),
             }

@@ -4,15 +4,13 @@ use anyhow::Context;
 use eecvs_nostd::Sensor;
 use hdf5_reader::{Dataset, Datatype, error::Error};
 
-use super::BATCH_EVENTS;
-use super::event_numbers::{
-    NAMES, P, Row, SAMPLE_ROWS, SAMPLE_TIMES, T, X, Y, column_order, coordinate,
+use super::file::{Hdf5, fields, join, number_type, plain, read_column, read_records, read_table};
+use crate::formats::BATCH_EVENTS;
+use crate::formats::event_numbers::{
+    NAMES, P, Row, SAMPLE_ROWS, SAMPLE_TIMES, T, TimeUnit, X, Y, column_order, coordinate,
 };
-use super::hdf5_file::{
-    Hdf5, fields, join, number_type, plain, read_column, read_records, read_table,
-};
-use super::npy_header::{Dtype, Number};
-use super::time_unit::TimeSample;
+use crate::formats::npy_header::{Dtype, Number};
+use crate::formats::time_unit::TimeSample;
 
 /// Where events are looked for, in this order: tables and compounds, or groups of columns.
 const PLACES: [&str; 7] = [
@@ -53,10 +51,10 @@ pub struct Plan {
     source: Source,
     /// Number of events.
     pub events: u64,
-    /// Whether float times are seconds.
-    pub seconds: bool,
-    /// What is added to every time, in us.
-    pub offset_us: u64,
+    /// What the times are.
+    pub unit: TimeUnit,
+    /// DSEC's `ms_to_idx`: the first event of every millisecond after the offset.
+    milliseconds: Option<Box<Dataset>>,
     /// Size that the data set's cameras have.
     pub sensor: Option<Sensor>,
     /// Number of datasets that are read.
@@ -111,13 +109,13 @@ impl Plan {
         let mut plan = Self {
             source,
             events,
-            seconds: false,
-            offset_us: 0,
+            unit: TimeUnit::default(),
+            milliseconds: None,
             sensor: place.starts_with(MVSEC).then_some(MVSEC_SENSOR),
             used,
         };
         plan.check_size(file)?;
-        plan.seconds = plan.times_in_seconds(file)?;
+        plan.unit.seconds = plan.times_in_seconds(file)?;
         plan.add_offset(file)?;
         Ok(Some(plan))
     }
@@ -215,9 +213,11 @@ impl Plan {
 
     /// DSEC's `t_offset`, in us, of integer times in columns.
     fn add_offset(&mut self, file: &Hdf5) -> anyhow::Result<()> {
-        let (Source::Columns(_), false) = (&self.source, self.seconds) else {
+        let (Source::Columns(_), false) = (&self.source, self.unit.seconds) else {
             return Ok(());
         };
+        self.milliseconds = index(file);
+        self.used += usize::from(self.milliseconds.is_some());
         let Some(offset) = file.dataset("t_offset")? else {
             return Ok(());
         };
@@ -231,7 +231,7 @@ impl Plan {
         };
         let offset_us = number.and_then(|number| u64::try_from(number).ok());
         let what = "the offset must be one whole number of microseconds, not negative";
-        self.offset_us = offset_us.ok_or_else(|| file.error(&offset, what))?;
+        self.unit.offset_us = offset_us.ok_or_else(|| file.error(&offset, what))?;
         self.used += 1;
         Ok(())
     }
@@ -260,6 +260,47 @@ impl Plan {
     /// As [`Plan::read`], fewer rows where the rest is damaged.
     pub fn read_whole(&self, start: u64, count: u64) -> Result<Vec<Row>, Error> {
         before_damage(count, |count| self.read(start, count))
+    }
+
+    /// The first event of `t_us` or later, or one that is not long before it, if the times ascend.
+    pub fn place(&self, t_us: u64) -> Result<u64, Error> {
+        if let Some(event) = self.indexed(t_us) {
+            // The index is believed where the event before it is earlier indeed.
+            if event == 0 || self.time(event - 1)?.is_some_and(|before| before < t_us) {
+                return Ok(event);
+            }
+        }
+        let (mut first, mut end) = (0, self.events);
+        while first < end {
+            let middle = first + (end - first) / 2;
+            if self.time(middle)?.is_some_and(|time| time < t_us) {
+                first = middle + 1;
+            } else {
+                end = middle;
+            }
+        }
+        Ok(first)
+    }
+
+    /// The event that `ms_to_idx` names.
+    fn indexed(&self, t_us: u64) -> Option<u64> {
+        let index = self.milliseconds.as_ref()?;
+        let millisecond = t_us.saturating_sub(self.unit.offset_us) / 1000;
+        let number = read_column(index, millisecond, 1).ok()?;
+        let event = u64::try_from(number.first().copied()??.whole()?).ok()?;
+        (event <= self.events).then_some(event)
+    }
+
+    /// Time of an event, in us; `None` where it is none.
+    fn time(&self, event: u64) -> Result<Option<u64>, Error> {
+        let time = match &self.source {
+            Source::Columns(columns) => {
+                let [t, ..] = columns.as_ref();
+                read_column(t, event, 1)?.first().copied().flatten()
+            }
+            _ => self.read(event, 1)?.first().and_then(|row| row[T]),
+        };
+        Ok(time.and_then(|time| self.unit.us(time)))
     }
 
     /// x and y of `count` events.
@@ -307,6 +348,13 @@ impl Plan {
             None => anyhow::anyhow!("{}: byte 0: {what}", file.name()),
         }
     }
+}
+
+/// DSEC's index of milliseconds, if there is one: what else has its name does not matter.
+fn index(file: &Hdf5) -> Option<Box<Dataset>> {
+    let index = file.dataset("ms_to_idx").ok().flatten()?;
+    let is_one = index.shape().len() == 1 && number_type(index.dtype()).is_some();
+    is_one.then(|| Box::new(index))
 }
 
 /// What `read` gives for `count` rows, or for fewer: the rows before a damaged chunk are whole.

@@ -3,14 +3,16 @@
 use std::io::SeekFrom;
 use std::sync::{Arc, Mutex};
 
+use eecvs_nostd::Sensor;
 use hdf5_reader::{
     BlockCacheStorage, Dataset, Datatype, H5Type, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem,
     Storage, StorageBuffer, error::Error,
 };
 
-use super::event_numbers::{NAMES, Row};
-use super::input::ReadSeek;
-use super::npy_header::{Dtype, Number};
+use super::filters;
+use crate::formats::event_numbers::{NAMES, Row};
+use crate::formats::input::ReadSeek;
+use crate::formats::npy_header::{Dtype, Number};
 
 /// First bytes of a file, or what follows a user block of 512 bytes times a power of two.
 pub const MAGIC: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
@@ -18,9 +20,6 @@ pub const MAGIC: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
 /// Bytes read at once where the file's own structures are, and how many such pieces are kept.
 const BLOCK_BYTES: usize = 1 << 16;
 const BLOCKS: usize = 64;
-
-/// Largest chunk, unpacked: HDF5's library writes some MB at the most unless told otherwise.
-const CHUNK_BYTES: usize = 64 << 20;
 
 /// Largest piece of a dataset read at once; a batch of events is 2 MB.
 const READ_BYTES: usize = 64 << 20;
@@ -32,16 +31,6 @@ const HEADER_BYTES: usize = 1 << 20;
 const LIST_DEPTH: usize = 4;
 const LIST_MAX: usize = 500;
 const DESCRIBE_MAX: usize = 24;
-
-/// Names of the filters that compress and are not read: the filter's number, what it is called.
-const FILTERS: [(&str, &str); 6] = [
-    ("32000", "LZF"),
-    ("32001", "Blosc"),
-    ("32004", "LZ4"),
-    ("32008", "bitshuffle"),
-    ("32015", "Zstandard"),
-    ("36559", "Prophesee's ECF"),
-];
 
 /// The source as storage that any thread may read from.
 struct Source {
@@ -95,7 +84,8 @@ impl Hdf5 {
         let storage =
             BlockCacheStorage::new(Arc::new(Source { source, length }), BLOCK_BYTES, BLOCKS);
         let options = OpenOptions::default()
-            .with_max_chunk_bytes(CHUNK_BYTES)
+            .with_filter_registry(filters::registry())
+            .with_max_chunk_bytes(filters::CHUNK_BYTES)
             .with_max_read_bytes(READ_BYTES)
             .with_max_object_header_bytes(HEADER_BYTES);
         let file =
@@ -171,6 +161,23 @@ impl Hdf5 {
         }
     }
 
+    /// Size that attributes of the root state: `width` and `height`, or Prophesee's `geometry`, `1280x720`.
+    pub fn stated_size(&self) -> Option<Sensor> {
+        let root = self.file.root_group().ok()?;
+        let side = |name| {
+            let number = root.attribute(name).ok()?.read_as_f64().ok()?;
+            (number.fract() == 0.0 && number >= 1.0 && number <= f64::from(u16::MAX))
+                .then_some(number as u16)
+        };
+        let geometry = || {
+            let text = root.attribute("geometry").ok()?.read_string().ok()?;
+            let (width, height) = text.split_once('x')?;
+            Some((width.trim().parse().ok()?, height.trim().parse().ok()?))
+        };
+        let sides = side("width").zip(side("height")).or_else(geometry);
+        sides.and_then(|(width, height)| Sensor::new(width, height))
+    }
+
     /// Bytes of the file.
     pub fn length(&self) -> u64 {
         self.length
@@ -214,11 +221,7 @@ fn shape(sides: &[u64]) -> String {
 pub fn plain(error: &Error) -> String {
     let text = error.to_string().replace('\n', " ");
     match error {
-        Error::UnsupportedFilter(what) => {
-            let known = FILTERS.iter().find(|(number, _)| what.contains(number));
-            let called = known.map_or(String::new(), |(_, name)| format!(" ({name})"));
-            format!("{text}{called}: rewrite it with gzip: h5repack -f GZIP=4 IN OUT")
-        }
+        Error::UnsupportedFilter(what) => text + &filters::advice(what),
         _ => text,
     }
 }

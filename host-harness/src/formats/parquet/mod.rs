@@ -1,0 +1,539 @@
+//! Apache Parquet files (`.parquet`), as pyarrow, polars, DuckDB and pandas write them.
+//!
+//! A file is `PAR1`, row groups, a footer in Thrift's compact protocol, u32 bytes of the footer, `PAR1`. A
+//! column of a row group is pages, each behind a header: values, before which a page may tell which are
+//! missing, or the dictionary that further ones are places in.
+//!
+//! * Columns, times, polarities and the sensor's size as in Arrow's files; `width` and `height` are among
+//!   the keys of the footer. Columns are plain ones of rows, not parts of groups or lists.
+//! * Encodings: plain, dictionary, runs, delta, split bytes. Compression: none, Snappy, gzip, Zstandard,
+//!   LZ4 (raw); Brotli, LZO and Hadoop's LZ4 are named in the error. A page's CRC-32 is checked if there is
+//!   one. Encrypted files are not read.
+//!
+//! The `parquet` crate is not used: damaged files still make it panic (apache/arrow-rs#9742), and sizes that
+//! a file claims are memory that it takes. This reader knows flat columns of numbers alone.
+//!
+//! The reader holds the footer and a page of every column. Without the footer, which a truncated file has
+//! lost, nothing can be read. Seeking goes to the last row group whose least time, in its statistics, is
+//! before the one sought.
+
+mod metadata;
+mod thrift;
+mod values;
+mod writer;
+
+use std::io::{BufRead, BufReader, Read, SeekFrom};
+use std::sync::{Arc, Mutex};
+
+use eecvs_nostd::Sensor;
+
+pub use self::writer::ParquetWriter;
+
+use self::metadata::{Metadata, Page};
+use self::values::{Runs, Values};
+use crate::formats::event_numbers::{NAMES, Row, T, X, Y, coordinate};
+use crate::formats::format::{Format, Limits, Opening};
+use crate::formats::input::{Batch, Decode, ReadSeek, Reader};
+use crate::formats::npy_header::Number;
+use crate::formats::section::{Section, Shared};
+use crate::formats::table_columns::{Columns, Named, Stored, stated_size};
+use crate::formats::{BATCH_EVENTS, Skipped, unpack};
+
+/// First and last bytes.
+pub const MAGIC: &[u8; 4] = b"PAR1";
+
+/// Last bytes of a file whose footer is encrypted.
+const ENCRYPTED: &[u8; 4] = b"PARE";
+
+/// Largest footer: some hundred bytes for every row group and column.
+const FOOTER_MAX: u64 = 64 << 20;
+
+/// Largest page, unpacked, and most of its values; writers aim at 1 MB.
+const PAGE_BYTES_MAX: u64 = 64 << 20;
+const PAGE_VALUES_MAX: u64 = 1 << 26;
+
+/// Most rows for a byte of the file: values may need none, so that few bytes could keep a reader busy.
+const EXPANSION_MAX: u64 = 1100;
+
+/// Bytes of a column that are read at once.
+const BUFFER_BYTES: usize = 1 << 16;
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "parquet",
+    title: "Parquet",
+    endings: &[".parquet"],
+    detect: |start| start.begins(MAGIC) || start.begins(ENCRYPTED),
+    open: |Opening {
+               source, name, size, ..
+           }| Ok(Box::new(ParquetReader::new(source, name, size)?)),
+    has_places: false,
+    grows: false,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(ParquetWriter::create(path, sensor)?))),
+};
+
+/// Reader of Parquet files.
+pub type ParquetReader = Reader<ParquetDecoder>;
+
+impl ParquetReader {
+    /// Reads `source`, which messages call `name`; `size` counts where the file states none.
+    ///
+    /// # Errors
+    /// No Parquet file, no columns t, x, y, p of numbers, no size and no event.
+    pub fn new(
+        source: Box<dyn ReadSeek>,
+        name: &str,
+        size: Option<Sensor>,
+    ) -> anyhow::Result<Self> {
+        let (mut decoder, stated) = ParquetDecoder::open(source, name)?;
+        decoder.learn();
+        decoder.go_to(0);
+        decoder.sensor = match stated.or(size).or(decoder.columns.sensor) {
+            Some(sensor) => sensor,
+            None => {
+                let sensor = decoder.largest()?;
+                decoder.go_to(0);
+                sensor
+            }
+        };
+        Ok(Self::around(decoder))
+    }
+}
+
+/// State between two batches of events.
+pub struct ParquetDecoder {
+    source: Shared,
+    name: String,
+    metadata: Metadata,
+    columns: Columns,
+    sensor: Sensor,
+    /// The next row group, and the present one.
+    next_group: usize,
+    rows: Option<Rows>,
+    events: u64,
+    skipped: Skipped,
+}
+
+/// A row group being read.
+struct Rows {
+    left: u64,
+    columns: [Column; 4],
+}
+
+/// A column of a row group being read.
+struct Column {
+    /// Where it begins, for messages.
+    start: u64,
+    reader: BufReader<Section>,
+    stored: Stored,
+    is_optional: bool,
+    codec: i64,
+    dictionary: Vec<Option<Number>>,
+    values: Option<Values>,
+    /// Values left of the page.
+    left: u64,
+    /// Which values of the page are there.
+    present: Option<Runs>,
+}
+
+impl Column {
+    /// The next `count` numbers, or as many as there are before an error.
+    fn take(&mut self, count: usize) -> (Vec<Option<Number>>, Option<String>) {
+        let mut numbers = Vec::with_capacity(count);
+        while numbers.len() < count {
+            match self.next() {
+                Ok(number) => numbers.push(number),
+                Err(what) => return (numbers, Some(what)),
+            }
+        }
+        (numbers, None)
+    }
+
+    fn next(&mut self) -> Result<Option<Number>, String> {
+        while self.left == 0 {
+            self.open_page()?;
+        }
+        if let Some(present) = &mut self.present
+            && present.next().ok_or("a damaged page")? == 0
+        {
+            return Err("a value is missing: drop such rows".to_owned());
+        }
+        let values = self.values.as_mut().ok_or("a damaged page")?;
+        let number = values.next(&self.dictionary).ok_or("a damaged page")?;
+        self.left -= 1;
+        Ok(number)
+    }
+
+    fn open_page(&mut self) -> Result<(), String> {
+        // An error counts as the end: what was to be read is missing.
+        if self.reader.fill_buf().map_or(true, <[u8]>::is_empty) {
+            return Err("the column has fewer values than the row group has rows".to_owned());
+        }
+        let page = metadata::page(&mut self.reader).ok_or("a damaged page header")?;
+        if page.bytes > PAGE_BYTES_MAX || page.stored_bytes > PAGE_BYTES_MAX {
+            return Err("a page above 64 MB: write it again with smaller pages".to_owned());
+        }
+        let stored = unpack::stream(
+            (&mut self.reader).take(page.stored_bytes),
+            page.stored_bytes as usize,
+        );
+        let stored = stored.filter(|stored| stored.len() as u64 == page.stored_bytes);
+        let stored = stored.ok_or("a page ends beyond its column: truncated or damaged")?;
+        if let Some(crc) = page.crc {
+            let mut sum = flate2::Crc::new();
+            sum.update(&stored);
+            if sum.sum() != crc {
+                return Err("a page's CRC-32 is wrong: damaged data".to_owned());
+            }
+        }
+        match page.kind {
+            0 => self.open_values(&page, &stored),
+            2 => {
+                let bytes = unpack(&stored, page.bytes, self.codec)?;
+                let mut values = Values::new(bytes, values::PLAIN, self.stored)?;
+                self.dictionary = std::iter::from_fn(|| values.next(&[]))
+                    .take(usize::try_from(page.values).unwrap_or(usize::MAX))
+                    .collect();
+                Ok(())
+            }
+            3 => self.open_values_2(&page, &stored),
+            // Indices.
+            _ => Ok(()),
+        }
+    }
+
+    /// Values behind a list of those that are there, all compressed together.
+    fn open_values(&mut self, page: &Page, stored: &[u8]) -> Result<(), String> {
+        let mut bytes = unpack(stored, page.bytes, self.codec)?;
+        let mut present = None;
+        if self.is_optional {
+            let length = bytes.first_chunk().ok_or("a damaged page")?;
+            let length = u32::from_le_bytes(*length) as usize;
+            let rest = bytes.split_off(4);
+            let (levels, values) = rest.split_at_checked(length).ok_or("a damaged page")?;
+            present = Runs::new(levels.to_vec(), 1);
+            bytes = values.to_vec();
+        }
+        self.begin(page, bytes, present)
+    }
+
+    /// The same in pages of version 2, where the list is not compressed.
+    fn open_values_2(&mut self, page: &Page, stored: &[u8]) -> Result<(), String> {
+        let [nested, there] = page.levels;
+        let levels = nested.checked_add(there).ok_or("a damaged page")?;
+        let split = usize::try_from(levels).ok();
+        let (list, values) = split
+            .and_then(|split| stored.split_at_checked(split))
+            .ok_or("a damaged page")?;
+        let left = page.bytes.checked_sub(levels).ok_or("a damaged page")?;
+        let codec = if page.is_compressed { self.codec } else { 0 };
+        let bytes = unpack(values, left, codec)?;
+        let list = list.get(nested as usize..).unwrap_or_default();
+        let present = self.is_optional.then(|| Runs::new(list.to_vec(), 1));
+        self.begin(page, bytes, present.flatten())
+    }
+
+    fn begin(&mut self, page: &Page, bytes: Vec<u8>, present: Option<Runs>) -> Result<(), String> {
+        if page.values > PAGE_VALUES_MAX {
+            return Err(format!("a page of {} values: damaged", page.values));
+        }
+        self.values = Some(Values::new(bytes, page.encoding, self.stored)?);
+        self.present = present;
+        self.left = page.values;
+        Ok(())
+    }
+}
+
+/// Decompresses a page to so many bytes.
+fn unpack(stored: &[u8], bytes: u64, codec: i64) -> Result<Vec<u8>, String> {
+    let size = usize::try_from(bytes).map_err(|error| error.to_string())?;
+    let unpacked = match codec {
+        0 => Some(stored.to_vec()),
+        1 => unpack::snappy(stored, size),
+        2 => unpack::stream(flate2::read::MultiGzDecoder::new(stored), size),
+        6 => unpack::zstandard(stored, size),
+        7 => lz4_flex::block::decompress(stored, size).ok(),
+        other => {
+            let name = match other {
+                3 => "LZO",
+                4 => "Brotli",
+                5 => "Hadoop's LZ4",
+                _ => "an unknown codec",
+            };
+            return Err(format!("packed by {name}: write it again with zstd"));
+        }
+    };
+    let unpacked = unpacked.filter(|unpacked| unpacked.len() == size);
+    unpacked.ok_or_else(|| "a page cannot be decompressed: damaged data".to_owned())
+}
+
+impl ParquetDecoder {
+    fn open(mut source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<(Self, Option<Sensor>)> {
+        let (length, bytes) = footer(source.as_mut(), name)?;
+        let start = length - 8 - bytes.len() as u64;
+        let error = |what: &str| anyhow::anyhow!("{name}: byte {start}: {what}");
+        let metadata = Metadata::read(&bytes).ok_or_else(|| error("the footer is damaged"))?;
+        if metadata.rows > length.saturating_mul(EXPANSION_MAX) {
+            return Err(error("the footer claims more rows than the file can hold"));
+        }
+        let total = metadata.groups.iter().map(|group| group.rows);
+        let total = total.fold(0_u64, u64::saturating_add);
+        if total != metadata.rows {
+            return Err(error("the row groups have other rows than the footer says"));
+        }
+        let named: Vec<Named> = metadata
+            .fields
+            .iter()
+            .map(|field| Named {
+                name: &field.name,
+                stored: field.stored,
+                shift: field.shift,
+            })
+            .collect();
+        let columns = Columns::find(&named).map_err(|what| error(&what))?;
+        let mut skipped = Skipped::default();
+        let others = named.len() - columns.places.len();
+        skipped.add("other columns", others as u64);
+        let pairs = metadata.metadata.iter();
+        let stated = stated_size(pairs.map(|(key, value)| (key.as_str(), value.as_str())));
+        let decoder = Self {
+            source: Arc::new(Mutex::new(source)),
+            name: name.to_owned(),
+            metadata,
+            columns,
+            sensor: Sensor {
+                width: 1,
+                height: 1,
+            },
+            next_group: 0,
+            rows: None,
+            events: 0,
+            skipped,
+        };
+        Ok((decoder, stated))
+    }
+
+    /// Goes on at a row group.
+    fn go_to(&mut self, group: usize) {
+        let before = self.metadata.groups.get(..group).unwrap_or_default();
+        self.events = before.iter().map(|group| group.rows).sum();
+        self.next_group = group;
+        self.rows = None;
+    }
+
+    fn error(&self, which: usize, event: u64, what: impl std::fmt::Display) -> anyhow::Error {
+        let column = self.rows.as_ref().and_then(|rows| rows.columns.get(which));
+        let start = column.map_or(0, |column| column.start);
+        let name = NAMES.get(which).and_then(|names| names.first());
+        let name = name.copied().unwrap_or_default();
+        anyhow::anyhow!(
+            "{}: byte {start}: event {event}: column {name}: {what}",
+            self.name
+        )
+    }
+
+    /// Opens the next row group; false at the end.
+    fn next_rows(&mut self) -> bool {
+        let Some(group) = self.metadata.groups.get(self.next_group) else {
+            return false;
+        };
+        self.next_group += 1;
+        let open = |which: usize| {
+            let place = self.columns.places.get(which).copied().unwrap_or_default();
+            let field = self.metadata.fields.get(place);
+            // A chunk that is not there has no bytes, which is said where they are read.
+            let chunk = field.and_then(|field| group.chunks.get(field.leaf));
+            let chunk = chunk.cloned().unwrap_or_default();
+            let section = Section::new(&self.source, chunk.start, chunk.bytes);
+            Column {
+                start: chunk.start,
+                reader: BufReader::with_capacity(BUFFER_BYTES, section),
+                stored: self
+                    .columns
+                    .stored
+                    .get(which)
+                    .copied()
+                    .unwrap_or(Stored::Bool),
+                is_optional: field.is_some_and(|field| field.is_optional),
+                codec: chunk.codec,
+                dictionary: Vec::new(),
+                values: None,
+                left: 0,
+                present: None,
+            }
+        };
+        self.rows = Some(Rows {
+            left: group.rows,
+            columns: [open(0), open(1), open(2), open(3)],
+        });
+        true
+    }
+
+    /// Some of the next rows, at most `count`, and the error that ended them; none at the end.
+    fn read_rows(&mut self, count: usize) -> (Vec<Row>, Option<anyhow::Error>) {
+        while self.rows.as_ref().is_none_or(|rows| rows.left == 0) {
+            if !self.next_rows() {
+                return (Vec::new(), None);
+            }
+        }
+        let Some(rows) = &mut self.rows else {
+            return (Vec::new(), None);
+        };
+        let count = usize::try_from(rows.left).unwrap_or(usize::MAX).min(count);
+        rows.left -= count as u64;
+        let mut ended: Option<(usize, usize, String)> = None;
+        let mut which = 0;
+        let [t, x, y, p] = rows.columns.each_mut().map(|column| {
+            let (numbers, error) = column.take(count);
+            if let Some(what) = error
+                && ended
+                    .as_ref()
+                    .is_none_or(|(_, least, _)| numbers.len() < *least)
+            {
+                ended = Some((which, numbers.len(), what));
+            }
+            which += 1;
+            numbers
+        });
+        let rows = t.into_iter().zip(x).zip(y).zip(p);
+        let rows: Vec<Row> = rows.map(|(((t, x), y), p)| [t, x, y, p]).collect();
+        let ended = ended.map(|(which, before, what)| {
+            let event = self.events + before as u64;
+            self.error(which, event, what)
+        });
+        (rows, ended)
+    }
+
+    /// Finds the unit of float times by the first of them; damage is for the reader.
+    fn learn(&mut self) {
+        let Some(count) = self.columns.sample() else {
+            return;
+        };
+        let mut times = Vec::new();
+        while times.len() < count {
+            let (rows, ended) = self.read_rows(count - times.len());
+            times.extend(rows.iter().map(|row| row[T]));
+            if rows.is_empty() || ended.is_some() {
+                break;
+            }
+        }
+        self.columns.learn(times.into_iter());
+    }
+
+    /// Size that holds every event before the first that is damaged.
+    fn largest(&mut self) -> anyhow::Result<Sensor> {
+        let (mut width, mut height) = (0, 0);
+        'all: loop {
+            let (rows, ended) = self.read_rows(BATCH_EVENTS);
+            for row in &rows {
+                let (Some(x), Some(y)) = (coordinate(row[X]), coordinate(row[Y])) else {
+                    break 'all;
+                };
+                width = width.max(x + 1);
+                height = height.max(y + 1);
+            }
+            match ended {
+                Some(error) if width == 0 => return Err(error),
+                None if !rows.is_empty() => {}
+                _ => break,
+            }
+        }
+        Sensor::new(width, height).ok_or_else(|| {
+            let name = &self.name;
+            anyhow::anyhow!(
+                "{name}: byte 0: no event, so no sensor size: give --width W --height H"
+            )
+        })
+    }
+
+    /// The last row group that begins before `t_us`, or the first one; `None` where statistics are missing.
+    fn group_before(&self, t_us: u64) -> Option<usize> {
+        let place = self.columns.places.first()?;
+        let leaf = self.metadata.fields.get(*place)?.leaf;
+        let mut found = 0;
+        for (index, group) in self.metadata.groups.iter().enumerate() {
+            if group.rows == 0 {
+                continue;
+            }
+            let least = metadata::least(group.chunks.get(leaf)?, self.columns.stored[T]);
+            if self.columns.t_us(Some(least?))? >= t_us {
+                break;
+            }
+            found = index;
+        }
+        Some(found)
+    }
+}
+
+/// Length of the file, and the footer's bytes.
+fn footer(source: &mut dyn ReadSeek, name: &str) -> anyhow::Result<(u64, Vec<u8>)> {
+    let failed = |error: std::io::Error| anyhow::anyhow!("{name}: byte 0: cannot be read: {error}");
+    let length = source.seek(SeekFrom::End(0)).map_err(failed)?;
+    let truncated = || {
+        let what = "the file does not end in PAR1, behind its footer: truncated";
+        anyhow::anyhow!("{name}: byte {length}: {what}")
+    };
+    let end = length.checked_sub(8).ok_or_else(truncated)?;
+    source.seek(SeekFrom::Start(end)).map_err(failed)?;
+    let mut tail = [0; 8];
+    source.read_exact(&mut tail).map_err(failed)?;
+    let [a, b, c, d, magic @ ..] = tail;
+    anyhow::ensure!(
+        &magic != ENCRYPTED,
+        "{name}: byte {end}: the footer is encrypted: write it again without encryption"
+    );
+    if &magic != MAGIC {
+        return Err(truncated());
+    }
+    let bytes = u64::from(u32::from_le_bytes([a, b, c, d]));
+    let start = end.checked_sub(bytes).filter(|start| *start >= 4);
+    let Some(start) = start.filter(|_| bytes <= FOOTER_MAX) else {
+        anyhow::bail!("{name}: byte {end}: a footer of {bytes} bytes: damaged");
+    };
+    source.seek(SeekFrom::Start(start)).map_err(failed)?;
+    let mut footer = vec![0; bytes as usize];
+    source.read_exact(&mut footer).map_err(failed)?;
+    Ok((length, footer))
+}
+
+impl Decode for ParquetDecoder {
+    fn format(&self) -> &'static str {
+        "parquet"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+
+    fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
+        let Some(group) = self.group_before(t_us) else {
+            return Ok(false);
+        };
+        self.go_to(group);
+        Ok(true)
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        while batch.room() > 0 {
+            let (rows, ended) = self.read_rows(batch.room());
+            for row in &rows {
+                match self.columns.event(row, self.sensor) {
+                    Ok(event) => batch.push(event),
+                    Err((which, what)) => return Err(self.error(which, self.events, what)),
+                }
+                self.events += 1;
+            }
+            match ended {
+                Some(error) => return Err(error),
+                None if rows.is_empty() => break,
+                None => {}
+            }
+        }
+        Ok(())
+    }
+}
