@@ -19,10 +19,17 @@ pub fn source(data: &[u8]) -> Box<dyn ReadSeek> {
     Box::new(Cursor::new(data.to_vec()))
 }
 
-/// Reads to the end or to an error, and checks what a reader promises.
-pub fn drain(opened: anyhow::Result<Box<dyn EventReader>>) {
-    let Ok(mut reader) = opened else { return };
+/// Reads to the end or to an error, and checks what a reader promises; from a place on where the format can seek
+/// it, if a time is told. The time of the last event, if there is one.
+pub fn drain(opened: anyhow::Result<Box<dyn EventReader>>, from_us: Option<u64>) -> Option<u64> {
+    let Ok(mut reader) = opened else { return None };
+    if let Some(t_us) = from_us
+        && reader.seek(t_us).is_err()
+    {
+        return None;
+    }
     let sensor = reader.sensor();
+    let mut last_us = None;
     let mut events: Vec<Event> = Vec::new();
     loop {
         events.clear();
@@ -32,6 +39,7 @@ pub fn drain(opened: anyhow::Result<Box<dyn EventReader>>) {
                 assert_eq!(read, events.len());
                 assert!(read <= BATCH_EVENTS);
                 assert!(events.iter().all(|event| sensor.contains(event.x, event.y)));
+                last_us = events.last().map(|event| event.t_us);
             }
             Err(error) => {
                 assert!(events.is_empty());
@@ -41,4 +49,5 @@ pub fn drain(opened: anyhow::Result<Box<dyn EventReader>>) {
             }
         }
     }
+    last_us
 }

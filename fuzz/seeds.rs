@@ -10,7 +10,7 @@ use eecvs_nostd::{
 use host_harness::encode::HostStorage;
 use host_harness::formats;
 
-const SEEDS: [(&str, &str, Sensor); 11] = [
+const SEEDS: [(&str, &str, Sensor); 13] = [
     (
         "read_aedat4",
         "events.aedat4",
@@ -65,6 +65,22 @@ const SEEDS: [(&str, &str, Sensor); 11] = [
         Sensor {
             width: 640,
             height: 480,
+        },
+    ),
+    (
+        "read_es",
+        "events.es",
+        Sensor {
+            width: 320,
+            height: 240,
+        },
+    ),
+    (
+        "read_hdf5",
+        "events.h5",
+        Sensor {
+            width: 346,
+            height: 260,
         },
     ),
     (

@@ -15,11 +15,21 @@ static FORMAT: LazyLock<Format> = LazyLock::new(|| {
 });
 
 fuzz_target!(|data: &[u8]| {
-    drain((FORMAT.open)(Opening {
-        source: source(data),
-        name: "fuzz",
-        path: None,
-        place: None,
-        size: size(data),
-    }));
+    let open = || {
+        (FORMAT.open)(Opening {
+            source: source(data),
+            name: "fuzz",
+            path: None,
+            place: None,
+            size: size(data),
+        })
+    };
+    let last_us = drain(open(), None);
+    // Indexes are as little to be trusted as events are.
+    if let Some(t_us) = last_us {
+        drain(
+            open(),
+            Some(t_us / 2 + u64::from(data[data.len() / 2]) * (t_us / 512)),
+        );
+    }
 });
