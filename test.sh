@@ -11,6 +11,8 @@
 #             with a real kernel
 #   metrics   the metrics against scipy and scikit-image, in a Python of its own: only when it is named (the
 #             unit stage compares them where the system's Python has these)
+#   peers     the formats against independent decoders, in a Python of its own with their packages: only when it
+#             is named (the unit stage compares them where the system's Python has some)
 #   page      the page of `eecvs report` in a browser, at the width of a desk and of a telephone: only when it
 #             is named (the unit stage opens it where there is a browser)
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
@@ -119,6 +121,20 @@ metrics() {
     fi
     EECVS_PYTHON=$PWD/$folder/bin/python \
         cargo test --workspace "${FEATURES[@]}" --test metrics_reference -- --nocapture
+}
+
+# Each package is wanted, none is a must: a decoder that cannot be installed is left out, by its own line.
+peers() {
+    local folder=target/python package
+    if ! [ -x "$folder/bin/pip" ] && ! python3 -m venv "$folder"; then
+        skip "peers: python3 cannot make an environment"
+        return
+    fi
+    for package in numpy faery expelliarmus evt3 evlib aedat rosbags mcap h5py hdf5plugin pyarrow scipy; do
+        "$folder/bin/pip" install -q "$package" || skip "peers: pip cannot install $package"
+    done
+    EECVS_PYTHON=$PWD/$folder/bin/python \
+        cargo test --workspace "${FEATURES[@]}" --test formats_peers -- --nocapture
 }
 
 # The name of a browser that the page is opened in, as host-harness/tests/browser/mod.rs has them.
@@ -278,7 +294,7 @@ if [ ${#stages[@]} = 0 ]; then
 fi
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | metrics | page | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
+        lint | unit | metrics | peers | page | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: no stage '$stage'; see the head of this file" >&2; exit 2 ;;
     esac
 done

@@ -1,19 +1,21 @@
-#!/usr/bin/env python3
-"""Bags of ROS written by rosbags and mcap, read by eecvs.
+"""Bags of ROS written by rosbags and mcap, read by the command.
 
-    ros_bags.py EECVS FOLDER [--without-db3]
+    python tests/peers/ros_bags.py EECVS
 
-EECVS is the command's path, FOLDER an empty one for the bags. Prints `ok` or `differs` for each check,
-and exits 1 where one differs. Wants the packages rosbags, mcap and numpy. The
-encodings' words are packed here, by their definition alone.
+The encodings' words are packed here, by their definition alone. SQLite is left out where the command is built
+without it. comparison.py says what is printed.
 """
 
 import csv
 import subprocess
 import sys
-from pathlib import Path
 
-import numpy as np
+import comparison
+from comparison import np, package
+
+if not (package("rosbags") and package("mcap")):
+    sys.exit(77)
+
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -34,13 +36,10 @@ ARRAY = "std_msgs/Header header\nuint32 height\nuint32 width\nEvent[] events\n"
 WIDTH, HEIGHT = 640, 480
 BASE_US = 1_675_956_550_000_000
 
-failed = False
-
 
 def check(name, same):
-    global failed
-    failed = failed or not same
-    print(f"{'ok' if same else 'differs'}: {name}")
+    comparison.failures += not same
+    print(f"{'ok      ' if same else 'differs '} {name}")
 
 
 def store(version):
@@ -154,10 +153,10 @@ def read_csv(path):
     return np.array(rows, np.int64).reshape(-1, 4)
 
 
-def ours(eecvs, bag, folder):
+def ours(bag, folder):
     """What eecvs reads."""
     out = folder / "out.csv"
-    result = subprocess.run([eecvs, "convert", bag, out], capture_output=True, text=True)
+    result = subprocess.run([comparison.eecvs, "convert", bag, out], capture_output=True, text=True)
     if result.returncode:
         print(result.stderr.strip())
         return None
@@ -191,7 +190,17 @@ def write(version, path, topics, types, **how):
                 writer.write(connection, t, data)
 
 
-def reading(eecvs, folder, with_db3):
+def has_db3(folder):
+    """Whether the command is built with SQLite: it says so of a file that is none."""
+    path = folder / "none.db3"
+    path.write_bytes(b"SQLite format 3\0" + bytes(84))
+    said = subprocess.run([comparison.eecvs, "info", path], capture_output=True, text=True).stderr
+    if "--features" in said:
+        print("absent: the feature db3")
+    return "--features" not in said
+
+
+def reading(folder):
     events = random_events(100_000)
     since = events - np.array([BASE_US, 0, 0, 0])
     types = {version: store(version) for version in (1, 2)}
@@ -203,7 +212,7 @@ def reading(eecvs, folder, with_db3):
             messages = packets(types[1], 1, events, encoding)
             write(1, path, {"/events": messages}, types[1], compression=compression)
             want = since if encoding == "evt3" else events
-            check(f"ROS 1 bag, {name}, {encoding}", same(ours(eecvs, path, folder), want))
+            check(f"ROS 1 bag, {name}, {encoding}", same(ours(path, folder), want))
     for package in ("dvs_msgs", "prophesee_event_msgs"):
         few = events[:20_000]
         path = folder / f"{package}.bag"
@@ -211,14 +220,14 @@ def reading(eecvs, folder, with_db3):
             arrays(types[1], 1, part, package) for part in (few, few[::2])
         )
         write(1, path, {"/left/events": left, "/right/events": right}, types[1])
-        check(f"ROS 1 bag, {package}", same(ours(eecvs, path, folder), few))
-        other = ours(eecvs, path / "right" / "events", folder)
+        check(f"ROS 1 bag, {package}", same(ours(path, folder), few))
+        other = ours(path / "right" / "events", folder)
         check(f"ROS 1 bag, {package}, another topic", same(other, few[::2]))
         path = folder / f"{package}_mcap"
         messages = {"/events": arrays(types[2], 2, few, package)}
         write(2, path, messages, types[2], plugin=StoragePlugin.MCAP)
-        check(f"MCAP, {package}", same(ours(eecvs, path, folder), few))
-    plugins = [StoragePlugin.MCAP] + [StoragePlugin.SQLITE3] * with_db3
+        check(f"MCAP, {package}", same(ours(path, folder), few))
+    plugins = [StoragePlugin.MCAP] + [StoragePlugin.SQLITE3] * has_db3(folder)
     for plugin in plugins:
         for encoding in PACKERS:
             for little in (True, False):
@@ -227,13 +236,13 @@ def reading(eecvs, folder, with_db3):
                 write(2, path, messages, types[2], plugin=plugin, little=little)
                 want = since if encoding == "evt3" else events
                 name = f"{plugin.name}, {encoding}, {'little' if little else 'big'} endian"
-                check(name, same(ours(eecvs, path, folder), want))
+                check(name, same(ours(path, folder), want))
                 if little:
                     file = next(file for file in path.iterdir() if file.suffix != ".yaml")
-                    check(f"{name}, the file alone", same(ours(eecvs, file, folder), want))
+                    check(f"{name}, the file alone", same(ours(file, folder), want))
 
 
-def chunked(eecvs, folder):
+def chunked(folder):
     """MCAP files with chunks of each compression, with and without a summary."""
     from mcap.writer import CompressionType
     from mcap.writer import Writer as McapWriter
@@ -255,17 +264,14 @@ def chunked(eecvs, folder):
                 writer.finish()
             if not whole:
                 path.write_bytes(path.read_bytes()[:-400])
-            got = ours(eecvs, path, folder)
+            got = ours(path, folder)
             check(f"MCAP chunks {compression.name}, summary whole: {whole}", same(got, events))
 
 
-def main():
-    eecvs, folder = sys.argv[1], Path(sys.argv[2])
-    with_db3 = "--without-db3" not in sys.argv
-    reading(eecvs, folder, with_db3)
-    chunked(eecvs, folder)
-    sys.exit(1 if failed else 0)
+def made(folder):
+    reading(folder)
+    chunked(folder)
 
 
 if __name__ == "__main__":
-    main()
+    comparison.run(__doc__, print, made)
