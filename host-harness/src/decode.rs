@@ -82,6 +82,11 @@ impl<R: Read> WindowReader<R> {
         self.windows.counts()
     }
 
+    /// Bytes read so far, up to the end of the last frame.
+    pub const fn offset(&self) -> u64 {
+        self.frames.offset()
+    }
+
     /// Takes a window's memory back, for those to come.
     pub fn reuse(&mut self, window: DecodedWindow) {
         self.windows.reuse(window);

@@ -220,6 +220,12 @@ impl<R: Read> FrameReader<R> {
         &self.report
     }
 
+    /// Bytes used up so far.
+    #[must_use]
+    pub const fn offset(&self) -> u64 {
+        self.offset
+    }
+
     /// Counts a frame whose payload does not decode.
     pub const fn count_refused(&mut self, refused: Refused) {
         self.report.count_refused(refused);

@@ -106,6 +106,12 @@ fn es() {
     }
 }
 
+/// The file tells no size; the largest x and y are the data set's last column and row.
+#[test]
+fn nmnist() {
+    check("nmnist", "sample_nmnist.bin", "nmnist");
+}
+
 #[test]
 fn aedat2() {
     check(

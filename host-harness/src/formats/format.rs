@@ -9,8 +9,8 @@ use eecvs_nostd::Sensor;
 use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
 use super::{
-    EventReader, EventWriter, aedat2, aedat4, arrow, dat, es, evt2, evt3, evt4, evt21, hdf5, npz,
-    parquet, ros, text,
+    EventReader, EventWriter, aedat2, aedat4, arrow, dat, es, evt2, evt3, evt4, evt21, frames,
+    hdf5, nmnist, npz, parquet, ros, text,
 };
 
 /// Bytes that a format is told by.
@@ -18,6 +18,7 @@ const START_BYTES: usize = 4096;
 
 /// Every format, in the order in which they are tried: text, which nearly anything may be, last.
 pub const FORMATS: &[Format] = &[
+    frames::FORMAT,
     aedat4::FORMAT,
     aedat2::FORMAT,
     evt2::FORMAT,
@@ -33,6 +34,7 @@ pub const FORMATS: &[Format] = &[
     ros::bag::FORMAT,
     ros::db3::FORMAT,
     ros::mcap::FORMAT,
+    nmnist::FORMAT,
     text::FORMAT,
 ];
 
@@ -276,6 +278,11 @@ pub fn writable(path: &Path) -> anyhow::Result<(&'static Format, Create)> {
     if let Some((_, format, create)) = longest {
         return Ok((format, create));
     }
+    anyhow::ensure!(
+        !name.ends_with(frames::ENDING),
+        "{}: frames are written by `eecvs encode`",
+        path.display()
+    );
     let endings: Vec<&str> = all().map(|(ending, ..)| ending).collect();
     anyhow::bail!(
         "{}: no format has this extension: use {}",

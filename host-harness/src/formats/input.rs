@@ -235,6 +235,11 @@ impl Batch<'_> {
     pub fn push(&mut self, event: Event) {
         self.events.push(event);
     }
+
+    /// Appends events, no more than there is room for.
+    pub fn extend(&mut self, events: &[Event]) {
+        self.events.extend_from_slice(events);
+    }
 }
 
 /// An [`EventReader`] around a decoder: holds an error back until the events before it are out.

@@ -3,32 +3,20 @@
 use std::fs::File;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use eecvs_nostd::{Event, Sensor};
 
-use crate::decode::{WindowEvents, WindowReader};
 use crate::formats::ahead::Ahead;
+use crate::formats::frames::FrameEvents;
 use crate::formats::{self, BATCH_EVENTS, EventReader};
-use crate::frame_file::{FrameReader, is_frame_file};
-use crate::reconstruct::DecodedWindow;
-use crate::reconstruct::events::Finder;
+use crate::frame_file::is_frame_file;
 
 /// Events of a file, whatever it holds.
 pub enum Input {
     /// Of a recording.
     Recording(Ahead),
     /// Decoded from frames.
-    Frames(Box<FrameEvents>),
-}
-
-/// Events of the windows of a file of frames.
-pub struct FrameEvents {
-    name: String,
-    windows: WindowReader<File>,
-    events: WindowEvents,
-    sensor: Sensor,
-    /// Decoded, to be read next.
-    ahead: Option<DecodedWindow>,
+    Frames(Box<FrameEvents<File>>),
 }
 
 impl Input {
@@ -41,7 +29,9 @@ impl Input {
         // Damage may hide what frames begin with.
         let is_named_so = path.extension().is_some_and(|ending| ending == "eecvs");
         if is_named_so || is_frame_file(path)? {
-            return Ok(Self::Frames(Box::new(FrameEvents::open(path)?)));
+            let name = path.display().to_string();
+            let file = File::open(path).with_context(|| format!("{name}: cannot open"))?;
+            return Ok(Self::Frames(Box::new(FrameEvents::new(file, &name)?)));
         }
         Ok(Self::recording(formats::open(path, size)?))
     }
@@ -57,7 +47,7 @@ impl Input {
     pub fn sensor(&self) -> Sensor {
         match self {
             Self::Recording(reader) => reader.sensor(),
-            Self::Frames(frames) => frames.sensor,
+            Self::Frames(frames) => frames.sensor(),
         }
     }
 
@@ -67,7 +57,7 @@ impl Input {
     pub fn first_us(&self) -> Option<u64> {
         let events = match self {
             Self::Recording(reader) => reader.events(),
-            Self::Frames(frames) => frames.ahead.as_ref()?.events.as_slice(),
+            Self::Frames(frames) => frames.ahead(),
         };
         events.iter().map(|event| event.t_us).min()
     }
@@ -79,7 +69,15 @@ impl Input {
     pub fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
         match self {
             Self::Recording(reader) => reader.read(events),
-            Self::Frames(frames) => frames.read(events),
+            Self::Frames(frames) => {
+                let Some(window) = frames.next_window()? else {
+                    return Ok(0);
+                };
+                let count = window.events.len();
+                events.extend_from_slice(&window.events);
+                frames.reuse(window);
+                Ok(count)
+            }
         }
     }
 
@@ -88,53 +86,7 @@ impl Input {
     pub fn warning(&self) -> Option<String> {
         match self {
             Self::Recording(_) => None,
-            Self::Frames(frames) => frames.windows.report().warning(),
-        }
-    }
-}
-
-impl FrameEvents {
-    fn open(path: &Path) -> Result<Self> {
-        let name = path.display().to_string();
-        let mut windows = WindowReader::new(FrameReader::open(path)?);
-        let mut events = WindowEvents::new(Finder::default());
-        let mut first = windows.next_window().with_context(|| name.clone())?;
-        let Some(window) = &mut first else {
-            if windows.report().frames == 0 {
-                bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
-            }
-            bail!("{name}: no window with events");
-        };
-        events.fill(window);
-        Ok(Self {
-            sensor: window.header.sensor,
-            name,
-            windows,
-            events,
-            ahead: first,
-        })
-    }
-
-    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
-        loop {
-            let window = match self.ahead.take() {
-                Some(window) => window,
-                None => {
-                    let next = self.windows.next_window();
-                    let Some(mut window) = next.with_context(|| self.name.clone())? else {
-                        return Ok(0);
-                    };
-                    self.events.fill(&mut window);
-                    window
-                }
-            };
-            let count = window.events.len();
-            events.extend_from_slice(&window.events);
-            self.windows.reuse(window);
-            // A window may be without: 0 would be the end.
-            if count > 0 {
-                return Ok(count);
-            }
+            Self::Frames(frames) => frames.warning(),
         }
     }
 }
