@@ -34,6 +34,7 @@ pub mod raw_header;
 mod raw_row;
 mod raw_writer;
 pub mod ros;
+mod runs;
 pub mod text;
 pub mod text_layout;
 mod text_writer;
