@@ -88,14 +88,12 @@ impl<'a> Buffer<'a> {
     }
 
     /// Table number `index` of a vector of tables.
-    #[cfg(test)]
     pub fn element(self, vector: Vector, index: usize) -> Option<Table> {
         let position = vector.start.checked_add(index.checked_mul(4)?)?;
         Some(Table(position.checked_add(self.offset(position)?)?))
     }
 
     /// Position of a struct field, which stands in the table itself.
-    #[cfg(test)]
     pub fn inline(self, table: Table, field: usize) -> Option<usize> {
         self.field(table, field)?
     }

@@ -5,6 +5,7 @@
 
 pub mod aedat2;
 pub mod aedat4;
+mod aedat4_table;
 mod aedat4_writer;
 pub mod ahead;
 pub mod dat;
@@ -26,6 +27,7 @@ mod hdf5_file;
 mod hdf5_layout;
 pub mod input;
 pub mod intact;
+mod lz4_frame;
 mod npy_header;
 pub mod npz;
 mod npz_layout;
