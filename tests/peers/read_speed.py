@@ -114,7 +114,7 @@ def larger(eecvs, recordings, folder):
         files = [folder / f"{name}.{ending}" for ending in ENDINGS]
         if not all(file.exists() for file in files):
             columns = folder / f"{name}.npz"
-            convert = [eecvs, "convert", str(recordings / recording), "-o", str(columns)]
+            convert = [eecvs, "convert", str(recordings / recording), str(columns)]
             subprocess.run(convert, check=True, capture_output=True)
             info = subprocess.run(
                 [eecvs, "info", str(recordings / recording), "--json"],
@@ -133,7 +133,7 @@ def larger(eecvs, recordings, folder):
                     file.write((t + span * np.uint64(i) | x << 32 | y << 46 | p << 60).tobytes())
             for file in files:
                 if file != dat:
-                    run = [eecvs, "convert", str(dat), "-o", str(file)]
+                    run = [eecvs, "convert", str(dat), str(file)]
                     subprocess.run(run, check=True, capture_output=True)
         yield from files
 
