@@ -13,6 +13,7 @@ pub enum Polarity {
 
 impl Polarity {
     /// `On` where `bright` is true.
+    #[inline]
     #[must_use]
     pub const fn from_bool(bright: bool) -> Self {
         if bright { Self::On } else { Self::Off }
@@ -77,6 +78,7 @@ impl Sensor {
     }
 
     /// Whether the sensor has a pixel (x, y).
+    #[inline]
     #[must_use]
     pub const fn contains(self, x: u16, y: u16) -> bool {
         x < self.width && y < self.height

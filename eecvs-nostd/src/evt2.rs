@@ -78,6 +78,17 @@ impl Evt2Decoder {
         self.high.is_some()
     }
 
+    /// Bits of the current `TIME_HIGH` and its time in microseconds, wraps and base included; none before the
+    /// first.
+    #[inline]
+    #[must_use]
+    pub const fn time_high(&self) -> Option<(u32, u64)> {
+        match self.high {
+            Some(high) => Some((high, self.time_us)),
+            None => None,
+        }
+    }
+
     /// Time of the current `TIME_HIGH`, to which an event's word adds less than [`SPAN_US`].
     #[inline]
     pub(crate) const fn span_us(&self) -> Option<u64> {

@@ -383,3 +383,32 @@ fn what_cannot_be_read_or_written_is_named() {
     assert!(said.contains("qemu-system-arm is not installed"), "{said}");
     assert_eq!(without.status.code(), Some(1));
 }
+
+#[test]
+fn the_speed_of_reading_is_of_every_recording() {
+    let folder = Folder::new();
+    for name in ["a.aedat4", "b.raw", "c.evt2", "d.dat"] {
+        folder.scene(name);
+    }
+    let files = "a.aedat4 b.raw c.evt2 d.dat";
+    let rows = folder
+        .eecvs(&format!("bench --read {files} --quick --json"))
+        .ok()
+        .array();
+    let formats: Vec<&str> = rows.iter().map(|row| text(row, "format")).collect();
+    assert_eq!(formats, ["aedat4", "evt3", "evt2", "dat"]);
+    for (row, name) in rows.iter().zip(files.split(' ')) {
+        assert_eq!(text(row, "file"), name);
+        let events = folder.events(name).1.len() as u64;
+        assert_eq!(count(row, "events"), events);
+        let rate = events as f64 / number(row, "seconds");
+        assert!((number(row, "events_per_s") / rate - 1.0).abs() < 1e-9);
+    }
+    let table = folder.eecvs(&format!("bench --read {files}")).ok();
+    assert_eq!(table.stdout.lines().count(), 5, "{table}");
+    folder
+        .eecvs("bench --read a.aedat4 none.raw")
+        .fails(&["none.raw"]);
+    let both = folder.eecvs("bench --read a.aedat4 --scaling");
+    assert_eq!(both.status, Some(2), "{both}");
+}

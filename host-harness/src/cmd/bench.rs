@@ -1,5 +1,5 @@
 //! `eecvs bench`: run time against error of every kernel, its error alone, how encoding scales, what
-//! skipping saves, rate against distortion.
+//! skipping saves, rate against distortion, how quickly recordings are read.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,6 +9,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::bench_rate::Rate;
+use super::bench_read;
 use super::output::{print, print_json};
 use crate::bench::cut::{self, Cut};
 use crate::bench::kernel_image::Images;
@@ -82,6 +83,13 @@ pub struct Bench {
     #[arg(long, conflicts_with_all = ["scaling", "recordings", "skips", "errors", "mcu"])]
     rate: bool,
 
+    /// Instead: events per second that each of these recordings is read with, on one thread; the quickest
+    /// of several times
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = [
+        "scaling", "recordings", "skips", "errors", "rate", "mcu", "save", "record",
+    ])]
+    read: Vec<PathBuf>,
+
     /// Recordings for --rate, or folders of them, two levels deep
     /// [default: ../shared/data where it is, else emulated scenes]
     #[arg(long, value_name = "PATH", num_args = 1.., requires = "rate")]
@@ -109,6 +117,9 @@ impl Bench {
     /// A recording that cannot be read, a folder that cannot be written, a kernel that is not
     /// within its documented error.
     pub fn run(self) -> Result<()> {
+        if !self.read.is_empty() {
+            return bench_read::run(&self.read, self.quick, self.json);
+        }
         for document in &self.save {
             self.marks(document).check(document)?;
         }

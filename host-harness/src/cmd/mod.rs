@@ -2,6 +2,7 @@
 
 pub mod bench;
 mod bench_rate;
+mod bench_read;
 pub mod calibrate;
 pub mod compare;
 pub mod convert;

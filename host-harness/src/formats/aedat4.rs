@@ -8,6 +8,10 @@
 //! Events come from the first event stream in the XML. Frames, IMU samples, triggers and the
 //! events of further streams are counted as skipped.
 //!
+//! A recording is sought by its packet table, as `aedat4_table.rs` says. One that is still being written, or
+//! was interrupted, says that it has none (position -1, or 0 from DV): it ends with its last packet, or where
+//! the table itself stands, which its first bytes tell from a packet of a stream that the XML names.
+//!
 //! The crate `aedat` 1.3 decodes the shared recordings alike, but it allocates whatever size a
 //! packet states, takes a truncated file for its end, hands the packets out without offsets and
 //! reads from files and sockets only, and it builds two C libraries and `ndarray`; so this is our
@@ -16,13 +20,15 @@
 use std::io::Read;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
-use lz4_flex::frame::FrameDecoder;
 
 use super::Skipped;
+use super::aedat4_table::{Entry, PacketTable};
 use super::aedat4_writer::Aedat4Writer;
 use super::flatbuffer::{Buffer, Vector};
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader};
+use super::lz4_frame::{self, Content as Unpacked};
+use super::runs::RUN_WORDS;
 
 /// First bytes of every AEDAT 4.0 file.
 pub const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
@@ -34,6 +40,9 @@ const HEADER_MAX: usize = 1 << 20;
 /// every 10 ms.
 pub(super) const PACKET_MAX: usize = 1 << 26;
 
+/// First bytes of a frame of Zstandard.
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
 /// Bytes of an event in a packet.
 pub(super) const EVENT_BYTES: usize = 16;
 
@@ -42,6 +51,21 @@ enum Compression {
     None,
     Lz4,
     Zstd,
+}
+
+impl Compression {
+    /// Unpacks a packet or the packet table, at most a byte more than a packet may have.
+    fn unpack(self, raw: &[u8], to: &mut Unpacked) -> std::io::Result<()> {
+        const LIMIT: usize = PACKET_MAX + 1;
+        match self {
+            Self::None => to.read(raw),
+            Self::Lz4 => to.decode(raw, LIMIT),
+            Self::Zstd => {
+                let decoder = ruzstd::decoding::StreamingDecoder::new(raw);
+                to.read(decoder.map_err(std::io::Error::other)?.take(LIMIT as u64))
+            }
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,7 +98,7 @@ pub const FORMAT: Format = Format {
                source, name, size, ..
            }| Ok(Box::new(Aedat4Reader::new(source, name, size)?)),
     has_places: false,
-    grows: false,
+    grows: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Aedat4Writer::create(path, sensor)?))),
 };
@@ -121,17 +145,19 @@ impl Aedat4Reader {
                 input.error_at(18, "no sensor size in the XML: give --width W --height H")
             })?,
         };
-        let camera = stream.source.clone();
+        let (camera, stream_id) = (stream.source.clone(), stream.id);
         Ok(Self::around(Aedat4Decoder {
+            start: input.offset(),
             end: table_position,
             input,
             compression,
             streams,
+            stream_id,
             sensor,
             camera,
-            raw: Raw::default(),
-            lz4: Lz4::default(),
-            packet: Vec::new(),
+            table: None,
+            raw: Vec::new(),
+            packet: Unpacked::default(),
             packet_offset: 0,
             elements: Vector { start: 0, len: 0 },
             events: 0,
@@ -244,13 +270,19 @@ pub struct Aedat4Decoder {
     input: Input,
     compression: Compression,
     streams: Vec<Stream>,
+    /// The stream whose events are read.
+    stream_id: i32,
     sensor: Sensor,
     camera: Option<String>,
-    /// Where the packets end; `None` where only the file's end says it.
+    /// Byte of the first packet.
+    start: u64,
+    /// Where the packets end; `None` where only the file's end or the packet table itself says it.
     end: Option<u64>,
-    raw: Raw,
-    lz4: Lz4,
-    packet: Vec<u8>,
+    /// Since the first seek; empty where there is none.
+    table: Option<Option<PacketTable>>,
+    /// A packet as the file holds it.
+    raw: Vec<u8>,
+    packet: Unpacked,
     packet_offset: u64,
     /// Events of the packet that are still to be read.
     elements: Vector,
@@ -270,6 +302,7 @@ impl Aedat4Decoder {
             match self.input.fill(&mut header)? {
                 0 => {
                     return match self.end {
+                        // Interrupted, or still being written where nobody waits for more.
                         None => Ok(false),
                         Some(_) => Err(self
                             .input
@@ -282,6 +315,13 @@ impl Aedat4Decoder {
             let [s0, s1, s2, s3, n0, n1, n2, n3] = header;
             let id = i32::from_le_bytes([s0, s1, s2, s3]);
             let size = i32::from_le_bytes([n0, n1, n2, n3]);
+            if self.end.is_none()
+                && !self.streams.iter().any(|stream| stream.id == id)
+                && self.is_table(header)?
+            {
+                self.end = Some(start);
+                return Ok(false);
+            }
             let Some(size) = usize::try_from(size)
                 .ok()
                 .filter(|size| *size <= PACKET_MAX)
@@ -290,7 +330,7 @@ impl Aedat4Decoder {
                 return Err(self.input.error_at(start, what));
             };
             let end = start + 8 + size as u64;
-            if end > self.end.unwrap_or(u64::MAX).min(self.input.length()) {
+            if self.end.is_some_and(|table| end > table) || !self.input.reaches(end)? {
                 let what = format!("the packet of {size} bytes runs past the end: truncated");
                 return Err(self.input.error_at(start, what));
             }
@@ -309,8 +349,7 @@ impl Aedat4Decoder {
                 self.input.seek(end)?;
                 continue;
             }
-            let content_bytes = self.decompress(start, size)?;
-            self.packet = content_bytes;
+            self.unpack(start, size)?;
             self.packet_offset = start;
             let elements = self.elements_of(content);
             if content == Content::Events {
@@ -333,36 +372,79 @@ impl Aedat4Decoder {
         }
     }
 
-    /// Content of a packet whose `size` bytes follow.
-    fn decompress(&mut self, start: u64, size: usize) -> anyhow::Result<Vec<u8>> {
-        let mut content = std::mem::take(&mut self.packet);
-        content.clear();
-        self.raw.at = 0;
-        self.raw.bytes.resize(size, 0);
-        if self.input.fill(&mut self.raw.bytes)? < size {
+    /// Whether the packet table begins with these bytes, behind which the input is.
+    fn is_table(&mut self, start: [u8; 8]) -> anyhow::Result<bool> {
+        let [m0, m1, m2, m3, ..] = start;
+        let magic = [m0, m1, m2, m3];
+        Ok(match self.compression {
+            Compression::Lz4 => magic == lz4_frame::MAGIC,
+            Compression::Zstd => magic == ZSTD_MAGIC,
+            Compression::None => {
+                let mut letters = [0; 4];
+                let here = self.input.offset();
+                let is_table = self.input.fill(&mut letters)? == 4 && &letters == b"FTAB";
+                self.input.seek(here)?;
+                is_table
+            }
+        })
+    }
+
+    /// Takes the content of a packet whose `size` bytes follow.
+    fn unpack(&mut self, start: u64, size: usize) -> anyhow::Result<()> {
+        self.raw.resize(size, 0);
+        if self.input.fill(&mut self.raw)? < size {
             return Err(self.input.error_at(start, "truncated packet"));
         }
-        let limit = PACKET_MAX as u64 + 1;
-        let read = match self.compression {
-            Compression::None => self.raw.read_to_end(&mut content),
-            Compression::Lz4 => self.lz4.decompress(&mut self.raw, limit, &mut content),
-            Compression::Zstd => {
-                let decoder = ruzstd::decoding::StreamingDecoder::new(&mut self.raw);
-                decoder
-                    .map_err(std::io::Error::other)
-                    .and_then(|decoder| decoder.take(limit).read_to_end(&mut content))
-            }
-        };
-        match read {
-            Ok(_) if content.len() > PACKET_MAX => Err(self
-                .input
-                .error_at(start, "the packet unpacks to over 64 MiB: damaged file")),
-            Ok(_) => Ok(content),
-            Err(error) => {
-                let what = format!("the packet cannot be decompressed: {error}");
-                Err(self.input.error_at(start, what))
-            }
+        let unpacked = self.compression.unpack(&self.raw, &mut self.packet);
+        unpacked.map_err(|error| {
+            let what = format!("the packet cannot be decompressed: {error}");
+            self.input.error_at(start, what)
+        })?;
+        if self.packet.bytes().len() > PACKET_MAX {
+            let what = "the packet unpacks to over 64 MiB: damaged file";
+            return Err(self.input.error_at(start, what));
         }
+        Ok(())
+    }
+
+    /// The packet table at byte `at`; none where it is damaged. The input's position is lost.
+    fn read_table(&mut self, at: u64) -> anyhow::Result<Option<PacketTable>> {
+        let size = usize::try_from(self.input.length().saturating_sub(at)).unwrap_or(usize::MAX);
+        let mut raw = vec![0; size.min(PACKET_MAX)];
+        let read = self.input.fill_at(at, &mut raw)?;
+        raw.truncate(read);
+        let mut table = Unpacked::default();
+        let unpacked = self.compression.unpack(&raw, &mut table);
+        Ok(unpacked
+            .ok()
+            .and_then(|()| PacketTable::parse(table.bytes(), self.stream_id)))
+    }
+
+    /// Where to go on for events of `t_us` and later, and the number of the events before; none where no
+    /// table tells it. The input's position is lost.
+    fn place(&mut self, t_us: u64) -> anyhow::Result<Option<(u64, u64)>> {
+        let Some(end) = self.end else {
+            return Ok(None);
+        };
+        let table = match self.table.take() {
+            Some(table) => table,
+            None => self.read_table(end)?,
+        };
+        let Some(table) = self.table.insert(table) else {
+            return Ok(None);
+        };
+        let (packet, events) = table.place(t_us);
+        let Some(Entry {
+            header_at, size, ..
+        }) = packet
+        else {
+            return Ok(Some((end, events)));
+        };
+        let [mut id, mut its_size] = [[0; 4]; 2];
+        let read = self.input.fill_at(header_at, &mut id)? + self.input.fill(&mut its_size)?;
+        let header = (i32::from_le_bytes(id), i32::from_le_bytes(its_size));
+        let is_there = read == 8 && (self.start..end).contains(&header_at);
+        Ok((is_there && header == (self.stream_id, size)).then_some((header_at, events)))
     }
 
     /// The one vector of events, IMU and trigger packets.
@@ -372,11 +454,12 @@ impl Aedat4Decoder {
             Content::Triggers => b"TRIG",
             _ => b"EVTS",
         };
-        let (buffer, table) = Buffer::root(&self.packet, letters)?;
+        let packet = self.packet.bytes();
+        let (buffer, table) = Buffer::root(packet, letters)?;
         let vector = buffer.vector(table, 0)?;
         let element = if letters == b"EVTS" { EVENT_BYTES } else { 4 };
         let end = vector.start.checked_add(vector.len.checked_mul(element)?)?;
-        (end <= self.packet.len()).then_some(vector)
+        (end <= packet.len()).then_some(vector)
     }
 
     fn event_error(&self, event: &RawEvent, what: &str) -> anyhow::Error {
@@ -389,61 +472,6 @@ impl Aedat4Decoder {
                 self.events
             ),
         )
-    }
-}
-
-/// The bytes of a packet.
-#[derive(Default)]
-struct Raw {
-    bytes: Vec<u8>,
-    /// Bytes that were read.
-    at: usize,
-    /// More was asked for than there is.
-    ran_out: bool,
-}
-
-impl Read for Raw {
-    fn read(&mut self, to: &mut [u8]) -> std::io::Result<usize> {
-        let mut rest = self.bytes.get(self.at..).unwrap_or_default();
-        let read = rest.read(to)?;
-        self.at += read;
-        self.ran_out |= read < to.len();
-        Ok(read)
-    }
-}
-
-/// A decoder of LZ4 frames that serves many packets: a new one zeroes some megabytes, which takes
-/// several times as long as the events of a packet.
-#[derive(Default)]
-struct Lz4(Option<(FrameFormat, FrameDecoder<Raw>)>);
-
-/// First bytes of a frame, what the sizes of its decoder's buffers depend on: magic number, flags,
-/// size of blocks.
-type FrameFormat = [u8; 6];
-
-impl Lz4 {
-    /// Appends what is in `raw`, a frame, to `content`, `limit` bytes at most.
-    fn decompress(
-        &mut self,
-        raw: &mut Raw,
-        limit: u64,
-        content: &mut Vec<u8>,
-    ) -> std::io::Result<usize> {
-        let format: Option<FrameFormat> = raw.bytes.first_chunk().copied();
-        let mut decoder = match self.0.take() {
-            Some((same, decoder)) if Some(same) == format => decoder,
-            _ => FrameDecoder::new(Raw::default()),
-        };
-        std::mem::swap(decoder.get_mut(), raw);
-        decoder.get_mut().ran_out = false;
-        let read = (&mut decoder).take(limit).read_to_end(content);
-        std::mem::swap(decoder.get_mut(), raw);
-        // Within a frame that broke off it would take the next packet for the rest of it.
-        let is_whole = !raw.ran_out && raw.at == raw.bytes.len() && (content.len() as u64) < limit;
-        if read.is_ok() && is_whole {
-            self.0 = format.map(|format| (format, decoder));
-        }
-        read
     }
 }
 
@@ -465,6 +493,21 @@ impl RawEvent {
             on: on != 0,
         }
     }
+
+    /// Whether it lies in the sensor. What is negative is beyond every sensor as an unsigned number.
+    const fn is_inside(&self, sensor: Sensor) -> bool {
+        sensor.contains(self.x.cast_unsigned(), self.y.cast_unsigned())
+    }
+
+    /// The event, where it lies in the sensor and its time is not negative.
+    const fn event(&self) -> Event {
+        Event {
+            t_us: self.t.cast_unsigned(),
+            x: self.x.cast_unsigned(),
+            y: self.y.cast_unsigned(),
+            polarity: Polarity::from_bool(self.on),
+        }
+    }
 }
 
 impl Decode for Aedat4Decoder {
@@ -484,40 +527,57 @@ impl Decode for Aedat4Decoder {
         &self.skipped
     }
 
+    fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
+        let offset = self.input.offset();
+        let place = self.place(t_us);
+        let Ok(Some((packet_at, events))) = place else {
+            self.input.seek(offset)?;
+            return place.map(|_| false);
+        };
+        self.input.seek(packet_at)?;
+        self.elements.len = 0;
+        self.events = events;
+        Ok(true)
+    }
+
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
         while batch.room() > 0 {
             if self.elements.len == 0 && !self.next_packet()? {
                 break;
             }
-            let count = self.elements.len.min(batch.room());
-            let start = self.elements.start;
-            let bytes = self
-                .packet
-                .get(start..start + count * EVENT_BYTES)
-                .unwrap_or_default();
-            let (chunks, _) = bytes.as_chunks::<EVENT_BYTES>();
-            for chunk in chunks {
-                let event = RawEvent::parse(*chunk);
-                let (x, y) = (u16::try_from(event.x), u16::try_from(event.y));
-                match (u64::try_from(event.t), x, y) {
-                    (Ok(t_us), Ok(x), Ok(y)) if self.sensor.contains(x, y) => {
-                        let polarity = Polarity::from_bool(event.on);
-                        batch.push(Event {
-                            t_us,
-                            x,
-                            y,
-                            polarity,
-                        });
-                    }
-                    (Ok(_), ..) => {
-                        return Err(self.event_error(&event, "is outside of the sensor"));
-                    }
-                    (Err(_), ..) => return Err(self.event_error(&event, "has a negative time")),
-                }
-                self.events += 1;
+            let count = self.elements.len.min(batch.room()).min(RUN_WORDS);
+            let Vector { start, len } = self.elements;
+            let bytes = self.packet.bytes().get(start..start + count * EVENT_BYTES);
+            let (run, _) = bytes.unwrap_or_default().as_chunks::<EVENT_BYTES>();
+            let is_sound = |event: &RawEvent| event.t >= 0 && event.is_inside(self.sensor);
+            let parsed = || run.iter().map(|bytes| RawEvent::parse(*bytes));
+            // Of all, not up to the first: without a branch for each.
+            let are_sound = parsed().fold(true, |sound, event| sound & is_sound(&event));
+            let wrong = if are_sound {
+                None
+            } else {
+                parsed().enumerate().find(|(_, event)| !is_sound(event))
+            };
+            let sound = wrong.as_ref().map_or(run.len(), |(index, _)| *index);
+            let sound_run = run.get(..sound).unwrap_or_default();
+            batch.extend(
+                sound_run
+                    .iter()
+                    .map(|bytes| RawEvent::parse(*bytes).event()),
+            );
+            self.events += sound as u64;
+            if let Some((_, event)) = wrong {
+                let what = if event.t < 0 {
+                    "has a negative time"
+                } else {
+                    "is outside of the sensor"
+                };
+                return Err(self.event_error(&event, what));
             }
-            self.elements.start += count * EVENT_BYTES;
-            self.elements.len -= count;
+            self.elements = Vector {
+                start: start + count * EVENT_BYTES,
+                len: len - count,
+            };
         }
         Ok(())
     }
@@ -525,44 +585,166 @@ impl Decode for Aedat4Decoder {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Cursor;
+
+    use super::super::format::open_source;
+    use super::super::{EventReader, EventWriter};
     use super::*;
-    use lz4_flex::frame::{BlockMode, BlockSize, FrameEncoder, FrameInfo};
-    use std::io::Write;
+
+    const SENSOR: Sensor = Sensor {
+        width: 64,
+        height: 48,
+    };
+
+    /// Several packets, some of one time.
+    fn events() -> Vec<Event> {
+        (0..100_000_u64)
+            .map(|i| Event {
+                t_us: 1_600_000_000_000_000 + i / 3 * 5,
+                x: (i % 64) as u16,
+                y: (i / 64 % 48) as u16,
+                polarity: Polarity::from_bool(i % 7 < 3),
+            })
+            .collect()
+    }
+
+    fn file(events: &[Event]) -> Vec<u8> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.aedat4");
+        let mut writer: Box<dyn EventWriter> =
+            Box::new(Aedat4Writer::create(&path, SENSOR).unwrap());
+        writer.write(events).unwrap();
+        writer.finish().unwrap();
+        std::fs::read(path).unwrap()
+    }
+
+    /// Position of the packet table, and where the header says it.
+    fn table(bytes: &[u8]) -> (usize, usize) {
+        let at = MAGIC.len() + 40;
+        let position = i64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+        (position as usize, at)
+    }
+
+    fn open(bytes: Vec<u8>) -> Box<dyn EventReader> {
+        open_source(Box::new(Cursor::new(bytes)), "test", None).unwrap()
+    }
+
+    fn rest(reader: &mut dyn EventReader) -> Vec<Event> {
+        let mut events = Vec::new();
+        while reader.read(&mut events).unwrap() > 0 {}
+        events
+    }
 
     #[test]
-    fn a_decoder_of_many_packets_is_one_for_each() {
-        let content: Vec<u8> = (0..200_000_u32).map(|i| (i / 7 % 251) as u8).collect();
-        let mut packets = Vec::new();
-        for size in [BlockSize::Max64KB, BlockSize::Max1MB, BlockSize::Max64KB] {
-            for mode in [BlockMode::Linked, BlockMode::Linked, BlockMode::Independent] {
-                let info = FrameInfo::new().block_size(size).block_mode(mode);
-                let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
-                encoder.write_all(&content[packets.len()..]).unwrap();
-                let packet = encoder.finish().unwrap();
-                // Whole, cut, without its end mark, damaged, with bytes behind it, whole.
-                packets.push(packet.clone());
-                packets.push(packet[..packet.len() / 2].to_vec());
-                packets.push(packet[..packet.len() - 4].to_vec());
-                let mut damaged = packet.clone();
-                damaged[20] ^= 0xff;
-                packets.push(damaged);
-                packets.push([&packet[..], b"more"].concat());
-                packets.push(packet);
-            }
+    fn seeking_leads_to_the_packet_of_a_time() {
+        let want = events();
+        let mut reader = open(file(&want));
+        let last_us = want.last().unwrap().t_us;
+        let middle_us = want[50_000].t_us;
+        // Also back, and from the end.
+        for target in [
+            middle_us,
+            0,
+            want[0].t_us,
+            middle_us + 1,
+            last_us,
+            want[16_384].t_us,
+        ] {
+            assert!(reader.seek(target).unwrap());
+            let got = rest(reader.as_mut());
+            let from = want.len() - got.len();
+            assert_eq!(got, want[from..]);
+            assert!(want[..from].iter().all(|event| event.t_us < target));
+            let first = want.partition_point(|event| event.t_us < target);
+            assert!(first - from < 16_384, "{target}: {from}");
         }
-        packets.extend([vec![], vec![4; 3]]);
-        let mut many = Lz4::default();
-        for bytes in packets {
-            let mut raw = Raw {
-                bytes: bytes.clone(),
-                ..Raw::default()
+        assert!(reader.seek(last_us + 1).unwrap());
+        assert_eq!(rest(reader.as_mut()), []);
+    }
+
+    #[test]
+    fn without_a_sound_table_nothing_is_sought() {
+        let want = events();
+        let bytes = file(&want);
+        let (table_at, position_at) = table(&bytes);
+        let without = |bytes: Vec<u8>| {
+            let mut reader = open(bytes);
+            let mut got = Vec::new();
+            reader.read(&mut got).unwrap();
+            assert!(!reader.seek(want[50_000].t_us).unwrap());
+            got.extend(rest(reader.as_mut()));
+            assert_eq!(got, want);
+        };
+        // Interrupted before the table, and before the header told it: there the table ends the packets.
+        let mut untold = bytes.clone();
+        untold[position_at..position_at + 8].copy_from_slice(&(-1_i64).to_le_bytes());
+        without(untold[..table_at].to_vec());
+        without(untold);
+        let mut damaged = bytes.clone();
+        damaged[table_at + 20] ^= 0x55;
+        without(damaged);
+        without([&bytes[..table_at], b"nonsense"].concat());
+        // A packet that is not where the table says: the table of another recording.
+        let other: Vec<Event> = want
+            .iter()
+            .map(|event| Event {
+                y: event.x / 2,
+                ..*event
+            })
+            .collect();
+        let other = file(&other);
+        without([&bytes[..table_at], &other[table(&other).0..]].concat());
+    }
+
+    #[test]
+    fn what_is_untold_is_sought_once_its_end_was_seen() {
+        let want = events();
+        let mut bytes = file(&want);
+        let (_, position_at) = table(&bytes);
+        bytes[position_at..position_at + 8].fill(0);
+        let mut reader = open(bytes);
+        assert_eq!(rest(reader.as_mut()), want);
+        assert!(reader.seek(want[90_000].t_us).unwrap());
+        let got = rest(reader.as_mut());
+        assert!(got.len() < 10_000 + 16_384 && want.ends_with(&got));
+    }
+
+    #[test]
+    fn events_that_cannot_be_are_refused_and_those_before_are_given() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.aedat4");
+        let stored = super::super::Compression {
+            code: 0,
+            name: "NONE",
+            compress: |bytes| Ok(bytes.to_vec()),
+        };
+        let mut writer = Box::new(Aedat4Writer::with_compression(&path, SENSOR, stored).unwrap());
+        writer.write(&events()[..1000]).unwrap();
+        writer.finish().unwrap();
+        let bytes = std::fs::read(path).unwrap();
+        let end = table(&bytes).0;
+        // From the event's end: the packet is 1000 events and nothing else.
+        let event = |index: usize| end - (1000 - index) * EVENT_BYTES;
+        for (at, value, what) in [
+            (event(700) + 7, 0x80, "event 700 of the packet here (t = -"),
+            (event(700) + 9, 0x80, "x = -"),
+            (event(700) + 8, 64, "x = 64"),
+            (event(700) + 10, 48, "y = 48"),
+            (event(0) + 10, 48, "event 0 "),
+        ] {
+            let mut bytes = bytes.clone();
+            bytes[at] = value;
+            let mut reader = open(bytes);
+            let mut got = Vec::new();
+            let error = loop {
+                match reader.read(&mut got) {
+                    Ok(read) => assert!(read > 0),
+                    Err(error) => break error.to_string(),
+                }
             };
-            let mut content = Vec::new();
-            let read = many.decompress(&mut raw, 1 << 20, &mut content);
-            let mut expected = Vec::new();
-            let alone = FrameDecoder::new(bytes.as_slice()).read_to_end(&mut expected);
-            assert_eq!(read.ok(), alone.ok());
-            assert!(content == expected);
+            assert!(error.contains(what), "{error}");
+            let before = if at < event(700) { 0 } else { 700 };
+            assert_eq!(got, events()[..before]);
         }
     }
 }

@@ -24,6 +24,7 @@ use super::dat_times::Times;
 use super::format::{Format, Limits, Opening, Start};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::raw_header::RawHeader;
+use super::runs::RUN_WORDS;
 use super::wrapping::Wrapping;
 use super::{DatWriter, Skipped};
 
@@ -76,18 +77,16 @@ pub(super) enum Version {
     Two,
 }
 
-impl Version {
-    /// (x, y, polarity) of a record's second half.
-    const fn decode(self, address: u32) -> (u16, u16, Polarity) {
-        let (x_bits, y_bits) = match self {
-            Self::One => (9, 8),
-            Self::Two => (14, 14),
-        };
-        let x = address & ((1 << x_bits) - 1);
-        let y = address >> x_bits & ((1 << y_bits) - 1);
-        let polarity = address >> (x_bits + y_bits) & 0xf;
-        (x as u16, y as u16, Polarity::from_bool(polarity != 0))
-    }
+/// Lower bits of the time, x, y and polarity of a record, whose x and y have so many bits.
+#[inline]
+const fn parse<const X_BITS: u32, const Y_BITS: u32>(record: [u8; 8]) -> (u32, u16, u16, Polarity) {
+    let record = u64::from_le_bytes(record);
+    let address = (record >> 32) as u32;
+    let x = address & ((1 << X_BITS) - 1);
+    let y = address >> X_BITS & ((1 << Y_BITS) - 1);
+    let polarity = address >> (X_BITS + Y_BITS) & 0xf;
+    let polarity = Polarity::from_bool(polarity != 0);
+    (record as u32, x as u16, y as u16, polarity)
 }
 
 /// Reader of DAT files.
@@ -192,6 +191,60 @@ pub struct DatDecoder {
 }
 
 impl DatDecoder {
+    /// As [`Decode::decode`], of records whose x and y have so many bits.
+    fn decode_version<const X_BITS: u32, const Y_BITS: u32>(
+        &mut self,
+        batch: &mut Batch<'_>,
+    ) -> anyhow::Result<()> {
+        let Self { sensor, t0_us, .. } = *self;
+        while batch.room() > 0 {
+            let most = batch.room().min(RUN_WORDS);
+            let (offset, run) = self.words.run(&mut self.input, most)?;
+            let Some(last) = run.last() else {
+                break;
+            };
+            let records = run.iter().map(|record| parse::<X_BITS, Y_BITS>(*record));
+            let before = self
+                .time
+                .last()
+                .map_or(0, |time| self.time.low(time) as u32);
+            // Where no time is half a period from another, none has wrapped.
+            let (steps, is_inside) = records.clone().fold((0, true), |(steps, inside), record| {
+                let (low, x, y, _) = record;
+                (steps | (low ^ before), inside & sensor.contains(x, y))
+            });
+            if is_inside && steps >> 31 == 0 && self.time.last().is_some() {
+                let base_us = self.time.base() + t0_us;
+                batch.extend(records.map(|(low, x, y, polarity)| Event {
+                    t_us: base_us + u64::from(low),
+                    x,
+                    y,
+                    polarity,
+                }));
+                let (low, ..) = parse::<X_BITS, Y_BITS>(*last);
+                self.time.extend(u64::from(low));
+                self.events += run.len() as u64;
+                continue;
+            }
+            for (index, (low, x, y, polarity)) in records.enumerate() {
+                let t_us = self.time.extend(u64::from(low)) + t0_us;
+                if !sensor.contains(x, y) {
+                    let offset = offset + index as u64 * RECORD_BYTES;
+                    let (x, y) = (i64::from(x), i64::from(y));
+                    return Err(self.input.outside(offset, self.events, x, y, sensor));
+                }
+                batch.push(Event {
+                    t_us,
+                    x,
+                    y,
+                    polarity,
+                });
+                self.events += 1;
+            }
+        }
+        Ok(())
+    }
+
     /// The first record of `t_us` or later, and the time's counter before it.
     fn place(&mut self, t_us: u64) -> anyhow::Result<Option<(u64, Wrapping)>> {
         let times = match self.times.take() {
@@ -232,28 +285,10 @@ impl Decode for DatDecoder {
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
-        while batch.room() > 0 {
-            let Some([t0, t1, t2, t3, a0, a1, a2, a3]) = self.words.next(&mut self.input)? else {
-                break;
-            };
-            let low = u32::from_le_bytes([t0, t1, t2, t3]);
-            let t_us = self.time.extend(u64::from(low)) + self.t0_us;
-            let address = u32::from_le_bytes([a0, a1, a2, a3]);
-            let (x, y, polarity) = self.version.decode(address);
-            if !self.sensor.contains(x, y) {
-                let offset = self.words.offset(&self.input);
-                let (x, y) = (i64::from(x), i64::from(y));
-                return Err(self.input.outside(offset, self.events, x, y, self.sensor));
-            }
-            batch.push(Event {
-                t_us,
-                x,
-                y,
-                polarity,
-            });
-            self.events += 1;
+        match self.version {
+            Version::One => self.decode_version::<9, 8>(batch),
+            Version::Two => self.decode_version::<14, 14>(batch),
         }
-        Ok(())
     }
 }
 

@@ -3,7 +3,12 @@
 //! The core's [`eecvs_nostd::evt2`] decodes the words, here and on a microcontroller. Words that are
 //! no events (triggers, vendor words) are skipped and counted; so is an event before the first
 //! `TIME_HIGH`, which has no time. There is no maintained crate for EVT 2.0.
+//!
+//! It is not sought: the file has no index, and though every `TIME_HIGH` tells 34 bits of time anew, nothing but
+//! the words before it tells how often they have wrapped, once in 4.8 hours. Two of them far apart are alike
+//! whether or not there is a wrap between; how many words may be passed over unread, no definition says.
 
+use std::hint::select_unpredictable;
 use std::path::Path;
 
 use eecvs_nostd::evt2::{Evt2Decoder as WordDecoder, Word};
@@ -13,10 +18,12 @@ use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::raw_header::{self, RawFile};
 use super::raw_writer::RawWriter;
+use super::runs::{NO_EVENT, RUN_WORDS, plain_words};
 use super::{EventWriter, Skipped};
 
 const TIME_HIGH: u32 = 0x8;
 const TIME_HIGH_BITS: u32 = 28;
+const HIGH_MASK: u32 = (1 << TIME_HIGH_BITS) - 1;
 const TIME_LOW_BITS: u32 = 6;
 /// 4.8 hours.
 const PERIOD_US: u64 = 1 << (TIME_HIGH_BITS + TIME_LOW_BITS);
@@ -97,37 +104,119 @@ impl Decode for Evt2Decoder {
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        let mut scratch = [NO_EVENT; RUN_WORDS];
         while batch.room() > 0 {
-            let Some(word) = self.words.next(&mut self.input)? else {
+            let most = batch.room().min(RUN_WORDS);
+            let (offset, run) = self.words.run(&mut self.input, most)?;
+            if run.is_empty() {
                 break;
-            };
-            let word = u32::from_le_bytes(word);
-            match self.decoder.decode(word) {
-                Word::Event(event) => {
-                    let Event { x, y, .. } = event;
-                    if !self.sensor.contains(x, y) {
-                        let offset = self.words.offset(&self.input);
+            }
+            let plain = plain(&self.decoder, self.sensor, run);
+            let mut taken = 0;
+            while let Some(rest) = run.get(taken..).filter(|rest| !rest.is_empty()) {
+                let is_plain = plain.get(taken..).unwrap_or_default();
+                let (words, events) = decode_plain(&mut self.decoder, rest, is_plain, &mut scratch);
+                batch.extend(scratch.iter().take(events).copied());
+                self.events += events as u64;
+                taken += words;
+                let Some(word) = run.get(taken) else {
+                    break;
+                };
+                let word = u32::from_le_bytes(*word);
+                match self.decoder.decode(word) {
+                    Word::Event(Event { x, y, .. }) if !self.sensor.contains(x, y) => {
+                        let offset = offset + 4 * taken as u64;
                         let (x, y) = (i64::from(x), i64::from(y));
                         return Err(self.input.outside(offset, self.events, x, y, self.sensor));
                     }
-                    self.events += 1;
-                    batch.push(event);
+                    Word::Event(event) => {
+                        batch.push(event);
+                        self.events += 1;
+                    }
+                    Word::Time => {}
+                    Word::Untimed => self.skipped.add("events before the first time", 1),
+                    Word::Other => self.skipped.add(
+                        match word >> 28 {
+                            0xa => "triggers",
+                            0xe => "other words",
+                            0xf => "continued words",
+                            _ => "unknown words",
+                        },
+                        1,
+                    ),
                 }
-                Word::Time => {}
-                Word::Untimed => self.skipped.add("events before the first time", 1),
-                Word::Other => self.skipped.add(
-                    match word >> 28 {
-                        0xa => "triggers",
-                        0xe => "other words",
-                        0xf => "continued words",
-                        _ => "unknown words",
-                    },
-                    1,
-                ),
+                taken += 1;
+                if word >> 28 == TIME_HIGH {
+                    // What is plain depends on it.
+                    break;
+                }
             }
+            let left = run.len() - taken;
+            self.words.back(left);
         }
         Ok(())
     }
+}
+
+/// Tells which of the first [`RUN_WORDS`] words are plain: events in the sensor, and times less than half a
+/// period after the decoder's, which has one.
+///
+/// The compiler makes four of them at a time of it.
+fn plain(decoder: &WordDecoder, sensor: Sensor, words: &[[u8; 4]]) -> [bool; RUN_WORDS] {
+    let mut plain = [false; RUN_WORDS];
+    let Some((start, _)) = decoder.time_high() else {
+        return plain;
+    };
+    let (width, height) = (u32::from(sensor.width), u32::from(sensor.height));
+    for (is_plain, word) in plain.iter_mut().zip(words) {
+        let word = u32::from_le_bytes(*word);
+        let (x, y) = (word >> 11 & 0x7ff, word & 0x7ff);
+        // A step is below 2^28, where it is not back.
+        let step = (word & HIGH_MASK).wrapping_sub(start);
+        *is_plain = (word >> 29 == 0) & (x < width) & (y < height)
+            | (word >> 28 == TIME_HIGH) & (step >> (TIME_HIGH_BITS - 1) == 0);
+    }
+    plain
+}
+
+/// Takes the words up to the first that is not plain, as [`plain`] has told; puts their events into `scratch`
+/// and returns how many words and events there were.
+///
+/// Which kind comes next cannot be foretold, so nothing here branches on it.
+fn decode_plain(
+    decoder: &mut WordDecoder,
+    words: &[[u8; 4]],
+    plain: &[bool],
+    scratch: &mut [Event; RUN_WORDS],
+) -> (usize, usize) {
+    let Some((start, start_us)) = decoder.time_high() else {
+        return (0, 0);
+    };
+    // No step from one to another of them is half a period, forward or back: none has wrapped.
+    let zero_us = start_us.wrapping_sub(u64::from(start) << TIME_LOW_BITS);
+    let mut high = start;
+    let words = words.get(..plain_words(plain)).unwrap_or(words);
+    let mut events = 0;
+    for word in words {
+        let word = u32::from_le_bytes(*word);
+        // Stays only where it is an event.
+        if let Some(event) = scratch.get_mut(events) {
+            let low_us = u64::from(word >> 22 & 0x3f);
+            *event = Event {
+                t_us: zero_us.wrapping_add(u64::from(high) << TIME_LOW_BITS | low_us),
+                x: (word >> 11 & 0x7ff) as u16,
+                y: (word & 0x7ff) as u16,
+                polarity: Polarity::from_bool(word >> 28 == 1),
+            };
+        }
+        let is_time = word >> 28 == TIME_HIGH;
+        high = select_unpredictable(is_time, word & HIGH_MASK, high);
+        events += usize::from(!is_time);
+    }
+    if high != start {
+        decoder.decode(TIME_HIGH << 28 | high);
+    }
+    (words.len(), events)
 }
 
 /// Writer of EVT 2.0 files.
@@ -170,11 +259,60 @@ impl EventWriter for Evt2Writer {
 
 #[cfg(test)]
 mod tests {
+    use super::super::EventReader;
     use super::super::wrapping::Wrapping;
     use super::*;
     use proptest::prelude::*;
 
+    /// Words of every kind, mostly events on 64 x 48 pixels and times of small steps.
+    fn words() -> impl Strategy<Value = Vec<u32>> {
+        let event = (0..2_u32, 0..64_u32, 0..64_u32, 0..48_u32)
+            .prop_map(|(kind, low, x, y)| kind << 28 | low << 22 | x << 11 | y);
+        let step = prop_oneof![
+            9 => -2..4_i32,
+            1 => prop_oneof![
+                (1 << 27) - 2..(1 << 27) + 2_i32,
+                -(1 << 20) - 3..-(1 << 20) + 3_i32,
+                0..1 << 28_i32,
+            ],
+        ];
+        let word = prop_oneof![
+            60 => event.prop_map(|word| (word, 0)),
+            20 => step.prop_map(|step| (TIME_HIGH << 28, step)),
+            1 => any::<u32>().prop_map(|word| (word & 0x3fff_ffff | 0xe << 28, 0)),
+        ];
+        proptest::collection::vec(word, 0..3000).prop_map(|words| {
+            let mut high = HIGH_MASK - 9;
+            let take = |(word, step): (u32, i32)| {
+                if word >> 28 != TIME_HIGH {
+                    return word;
+                }
+                high = high.wrapping_add_signed(step) & HIGH_MASK;
+                word | high
+            };
+            words.into_iter().map(take).collect()
+        })
+    }
+
     proptest! {
+        #[test]
+        fn runs_are_what_the_core_makes_of_their_words(words in words()) {
+            let header = b"% evt 2.0\n% geometry 64x48\n% end\n";
+            let bytes = words.iter().flat_map(|word| word.to_le_bytes());
+            let bytes: Vec<u8> = header.iter().copied().chain(bytes).collect();
+            let source = Box::new(std::io::Cursor::new(bytes));
+            let mut reader = Evt2Reader::new(source, "test", None).unwrap();
+            let mut got = Vec::new();
+            while reader.read(&mut got).unwrap() > 0 {}
+            let mut decoder = WordDecoder::new(0);
+            let decoded = words.iter().filter_map(|word| match decoder.decode(*word) {
+                Word::Event(event) => Some(event),
+                _ => None,
+            });
+            let want: Vec<Event> = decoded.collect();
+            prop_assert_eq!(got, want);
+        }
+
         /// The writer asks its own counter what a reader will make of a time.
         #[test]
         fn the_writers_counter_agrees_with_the_decoder(

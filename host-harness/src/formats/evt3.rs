@@ -16,11 +16,15 @@
 //! before the first `ADDR_Y` no row, vectors before the first `VECT_BASE_X` no column: they are
 //! counted and skipped.
 //!
+//! It is not sought: the file has no index, a word's row and time stand any number of words before it, and
+//! whether the 24 bits of time have wrapped between two places only the words between them tell.
+//!
 //! The crate `evt3` decodes the shared recordings alike, but its column counter overflows
 //! (a panic in debug builds) on a long run of vectors, it gives no offsets, and it drops unknown
 //! words and events without a time uncounted; so this is our own decoder and `evt3` is its peer
 //! in the tests.
 
+use std::hint::select_unpredictable;
 use std::path::Path;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
@@ -30,6 +34,7 @@ use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::raw_header::{self, RawFile};
 use super::raw_row::{Outside, Row};
 use super::raw_writer::RawWriter;
+use super::runs::{NO_EVENT, RUN_WORDS, plain_words};
 use super::wrapping::Wrapping;
 use super::{EventWriter, Skipped};
 
@@ -49,6 +54,13 @@ pub const TIME_LOW: u16 = 0x6;
 pub const TIME_HIGH: u16 = 0x8;
 /// Bits of each part of time.
 pub const TIME_BITS: u32 = 12;
+
+/// Type of a word of a trigger.
+const TRIGGER: u16 = 0xa;
+/// Type of a word that continues another one, in its lower three bits.
+const CONTINUED: u16 = 0x7;
+/// Type of a word that begins something of the vendor's.
+const OTHER: u16 = 0xe;
 
 /// Events that one word can hold.
 pub(super) const VECTOR_EVENTS: usize = 12;
@@ -126,20 +138,60 @@ impl Decode for Evt3Decoder {
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        let mut scratch = [NO_EVENT; RUN_WORDS];
         while batch.room() >= VECTOR_EVENTS {
-            let Some(word) = self.words.next(&mut self.input)? else {
+            let most = batch.room().min(RUN_WORDS);
+            let (offset, run) = self.words.run(&mut self.input, most)?;
+            if run.is_empty() {
                 break;
-            };
-            let word = u16::from_le_bytes(word);
-            if let Err(Outside { x, y }) = self.decoder.decode(word, batch, &mut self.skipped) {
-                let offset = self.words.offset(&self.input);
-                let WordDecoder { events, sensor, .. } = self.decoder;
-                let (x, y) = (x.into(), y.into());
-                return Err(self.input.outside(offset, events, x, y, sensor));
             }
+            let plain = self.decoder.plain(run);
+            let mut taken = 0;
+            while let Some(rest) = run.get(taken..).filter(|rest| !rest.is_empty()) {
+                let is_plain = plain.get(taken..).unwrap_or_default();
+                let count = self
+                    .decoder
+                    .decode_plain(rest, is_plain, &mut scratch, batch);
+                count_skipped(rest.get(..count).unwrap_or_default(), &mut self.skipped);
+                taken += count;
+                let Some(word) = run.get(taken) else {
+                    break;
+                };
+                if batch.room() < VECTOR_EVENTS {
+                    break;
+                }
+                let word = u16::from_le_bytes(*word);
+                if let Err(Outside { x, y }) = self.decoder.decode(word, batch, &mut self.skipped) {
+                    let offset = offset + 2 * taken as u64;
+                    let WordDecoder { events, sensor, .. } = self.decoder;
+                    let (x, y) = (x.into(), y.into());
+                    return Err(self.input.outside(offset, events, x, y, sensor));
+                }
+                taken += 1;
+                if word >> 12 == TIME_HIGH {
+                    // What is plain depends on it.
+                    break;
+                }
+            }
+            let left = run.len() - taken;
+            self.words.back(left);
         }
         Ok(())
     }
+}
+
+/// Counts those of `words` that are no events and tell nothing about any.
+fn count_skipped(words: &[[u8; 2]], skipped: &mut Skipped) {
+    let (mut triggers, mut continued, mut others) = (0_u16, 0_u16, 0_u16);
+    for word in words {
+        let kind = u16::from_le_bytes(*word) >> 12;
+        triggers += u16::from(kind == TRIGGER);
+        continued += u16::from(kind & 0x7 == CONTINUED);
+        others += u16::from(kind == OTHER);
+    }
+    skipped.add("triggers", triggers.into());
+    skipped.add("continued words", continued.into());
+    skipped.add("other words", others.into());
 }
 
 /// What words have said so far, wherever they come from.
@@ -216,6 +268,76 @@ impl WordDecoder {
         self.emit(x, bits, polarity, batch, skipped)
     }
 
+    /// Tells which of the first [`RUN_WORDS`] words are plain: a row or a column of the sensor, lower bits of
+    /// time, or the upper ones that hold now.
+    ///
+    /// The compiler makes eight of them at a time of it.
+    fn plain(&self, words: &[[u8; 2]]) -> [bool; RUN_WORDS] {
+        let mut plain = [false; RUN_WORDS];
+        let high = self
+            .high
+            .last()
+            .map_or(0, |high| self.high.low(high) as u16);
+        let Sensor { width, height } = self.sensor;
+        for (is_plain, word) in plain.iter_mut().zip(words) {
+            let word = u16::from_le_bytes(*word);
+            let (kind, coordinate) = (word >> 12, word & 0x7ff);
+            *is_plain = (kind == ADDR_X) & (coordinate < width)
+                | (kind == ADDR_Y) & (coordinate < height)
+                | (kind == TIME_LOW)
+                | (kind == TRIGGER)
+                | (kind & 0x7 == CONTINUED)
+                | (kind == OTHER)
+                | (word == TIME_HIGH << 12 | high);
+        }
+        plain
+    }
+
+    /// Takes the words up to the first that is not plain, as [`WordDecoder::plain`] has told, or none where
+    /// events have no time or no row in the sensor yet; returns how many. Never more than the batch has room
+    /// for.
+    ///
+    /// Which kind comes next cannot be foretold, so nothing here branches on it.
+    fn decode_plain(
+        &mut self,
+        words: &[[u8; 2]],
+        plain: &[bool],
+        scratch: &mut [Event; RUN_WORDS],
+        batch: &mut Batch<'_>,
+    ) -> usize {
+        let (Some(high), Some(mut y)) = (self.high.last(), self.y) else {
+            return 0;
+        };
+        if y >= self.sensor.height {
+            return 0;
+        }
+        let high_us = (high << TIME_BITS) + self.t0_us;
+        let mut low = self.low;
+        let taken = plain_words(plain).min(batch.room());
+        let words = words.get(..taken).unwrap_or(words);
+        let mut count = 0;
+        for word in words {
+            let word = u16::from_le_bytes(*word);
+            let (kind, coordinate) = (word >> 12, word & 0x7ff);
+            // Stays only where it is an event.
+            if let Some(event) = scratch.get_mut(count) {
+                *event = Event {
+                    t_us: high_us + u64::from(low),
+                    x: coordinate,
+                    y,
+                    polarity: Polarity::from_bool(word & 0x800 != 0),
+                };
+            }
+            count += usize::from(kind == ADDR_X);
+            low = select_unpredictable(kind == TIME_LOW, word & 0xfff, low);
+            y = select_unpredictable(kind == ADDR_Y, coordinate, y);
+        }
+        (self.low, self.y) = (low, Some(y));
+        self.events += count as u64;
+        batch.extend(scratch.iter().take(count).copied());
+        words.len()
+    }
+
     /// Takes the next word; the batch must have room for the [`VECTOR_EVENTS`] of a vector.
     // A call for each word takes half as many instructions again; the reader and bags both have one loop.
     #[inline(always)]
@@ -252,9 +374,9 @@ impl WordDecoder {
             VECT_BASE_X => self.base = Some((u32::from(coordinate), polarity)),
             VECT_12 => self.vector(value, 12, batch, skipped)?,
             VECT_8 => self.vector(value & 0xff, 8, batch, skipped)?,
-            0xa => skipped.add("triggers", 1),
-            0x7 | 0xf => skipped.add("continued words", 1),
-            0xe => skipped.add("other words", 1),
+            TRIGGER => skipped.add("triggers", 1),
+            CONTINUED | 0xf => skipped.add("continued words", 1),
+            OTHER => skipped.add("other words", 1),
             _ => skipped.add("unknown words", 1),
         }
         Ok(())
@@ -348,4 +470,80 @@ fn run(events: &[Event]) -> (usize, u16) {
         }
     }
     (count, bits)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::super::EventReader;
+    use super::*;
+
+    const SENSOR: Sensor = Sensor {
+        width: 64,
+        height: 48,
+    };
+
+    /// Words of every kind; rows, columns and vectors mostly on the sensor, times of small steps.
+    fn words() -> impl Strategy<Value = Vec<u16>> {
+        let pixel = |side: u16| prop_oneof![9999 => 0..side, 1 => 0..2048_u16];
+        let step = prop_oneof![9 => 0..3_u16, 3 => Just(4095_u16), 1 => 0..4096_u16];
+        let word = prop_oneof![
+            30 => pixel(48).prop_map(|y| (ADDR_Y, y)),
+            30 => (pixel(64), 0..2_u16).prop_map(|(x, on)| (ADDR_X, on << 11 | x)),
+            20 => (0..4096_u16).prop_map(|low| (TIME_LOW, low)),
+            9 => step.prop_map(|step| (TIME_HIGH, step)),
+            4 => (0..40_u16, 0..2_u16).prop_map(|(x, on)| (VECT_BASE_X, on << 11 | x)),
+            2 => (0..4096_u16).prop_map(|bits| (VECT_12, bits)),
+            2 => (0..256_u16).prop_map(|bits| (VECT_8, bits)),
+            9 => (0..16_u16, 0..4096_u16).prop_map(|(kind, value)| (kind | 0x7, value)),
+            3 => (0..2_u16, 0..4096_u16).prop_map(|(kind, value)| (0xa | kind << 2, value)),
+        ];
+        proptest::collection::vec(word, 0..3000).prop_map(|words| {
+            let mut high = 4090;
+            let take = |(kind, value): (u16, u16)| {
+                if kind != TIME_HIGH {
+                    return kind << 12 | value;
+                }
+                high = (high + value) & 0xfff;
+                kind << 12 | high
+            };
+            words.into_iter().map(take).collect()
+        })
+    }
+
+    proptest! {
+        /// Also what is skipped, and where it ends.
+        #[test]
+        fn runs_are_what_their_words_are(words in words()) {
+            let header = b"% evt 3.0\n% geometry 64x48\n% end\n";
+            let bytes = words.iter().flat_map(|word| word.to_le_bytes());
+            let bytes: Vec<u8> = header.iter().copied().chain(bytes).collect();
+            let source = Box::new(std::io::Cursor::new(bytes));
+            let mut reader = Evt3Reader::new(source, "test", None).unwrap();
+            let mut got = Vec::new();
+            let error = loop {
+                match reader.read(&mut got) {
+                    Ok(0) => break None,
+                    Ok(_) => {}
+                    Err(error) => break Some(error.to_string()),
+                }
+            };
+
+            let mut decoder = WordDecoder::new(SENSOR, 0);
+            let (mut want, mut skipped) = (Vec::new(), Skipped::default());
+            let mut batch = Batch::new(&mut want);
+            let outside = words
+                .iter()
+                .position(|word| decoder.decode(*word, &mut batch, &mut skipped).is_err());
+            prop_assert_eq!(got, want);
+            prop_assert_eq!(reader.skipped(), &skipped);
+            let place = outside.map(|word| format!("byte {}:", header.len() + 2 * word));
+            match (error, place) {
+                (None, None) => {}
+                (Some(error), Some(place)) => prop_assert!(error.contains(&place), "{error} {place}"),
+                other => prop_assert!(false, "{other:?}"),
+            }
+        }
+    }
 }

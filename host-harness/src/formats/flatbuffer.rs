@@ -131,7 +131,6 @@ impl<'a> Buffer<'a> {
     }
 
     /// Position of a struct field, which stands in the table itself.
-    #[cfg(test)]
     pub fn inline(self, table: Table, field: usize) -> Option<usize> {
         self.field(table, field)?
     }

@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn what_is_appended_comes_too() {
-        for name in ["a.raw", "a.evt2", "a.dat", "a.aedat"] {
+        for name in ["a.raw", "a.evt2", "a.dat", "a.aedat", "a.aedat4"] {
             let bytes = bytes(name);
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join(name);
@@ -192,6 +192,51 @@ mod tests {
             writing.join().unwrap();
             assert!(events == some_events(), "{name}: {} events", events.len());
         }
+    }
+
+    #[test]
+    fn an_aedat4_file_ends_with_its_table_or_where_it_stops() {
+        let mut bytes = bytes("a.aedat4");
+        // As it is until its writer closes it.
+        bytes[54..62].copy_from_slice(&(-1_i64).to_le_bytes());
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.aedat4");
+        let writing = |until: usize| {
+            let (path, bytes) = (path.clone(), bytes[..until].to_vec());
+            std::fs::write(&path, &bytes[..900]).unwrap();
+            thread::spawn(move || {
+                let mut file = File::options().append(true).open(path).unwrap();
+                // Between packets, and within them.
+                for piece in bytes[900..].chunks(30_011) {
+                    sleep(Duration::from_millis(20));
+                    file.write_all(piece).unwrap();
+                }
+            })
+        };
+        // Nobody stops it: the table does.
+        let endless = Follow {
+            idle: None,
+            stop: Arc::default(),
+        };
+        let writer = writing(bytes.len());
+        let mut reader = open_growing(&path, None, &endless).unwrap();
+        let mut events = Vec::new();
+        while reader.read(&mut events).unwrap() > 0 {}
+        writer.join().unwrap();
+        assert!(events == some_events());
+        // Cut within its last packet.
+        let writer = writing(bytes.len() - 5000);
+        let mut reader = open_growing(&path, None, &follow(300)).unwrap();
+        events.clear();
+        let error = loop {
+            match reader.read(&mut events) {
+                Ok(read) => assert!(read > 0),
+                Err(error) => break error.to_string(),
+            }
+        };
+        writer.join().unwrap();
+        assert!(error.contains("truncated"), "{error}");
+        assert!(!events.is_empty() && some_events().starts_with(&events));
     }
 
     #[test]

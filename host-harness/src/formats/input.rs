@@ -95,14 +95,41 @@ impl Input {
         Ok(())
     }
 
+    /// Whether the source has as many bytes as `end`; waits for them where a recording is still being written.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn reaches(&mut self, end: u64) -> anyhow::Result<bool> {
+        if end <= self.length {
+            return Ok(true);
+        }
+        let here = self.offset;
+        let is_there = self.fill_at(end - 1, &mut [0])? == 1;
+        if is_there {
+            let length = self.reader.get_mut().seek(SeekFrom::End(0));
+            self.length = length.map_err(|error| self.unreadable(error))?.max(end);
+        }
+        let sought = self.reader.seek(SeekFrom::Start(here));
+        sought.map_err(|error| self.unreadable(error))?;
+        self.offset = here;
+        Ok(is_there)
+    }
+
     /// Fills `bytes`, or as much of it as the source still has; returns how much.
     ///
     /// # Errors
     /// I/O.
     pub fn fill(&mut self, bytes: &mut [u8]) -> anyhow::Result<usize> {
+        // As much as the buffer holds is read past it, and copied only once.
+        let is_block = bytes.len() >= BUFFER_BYTES;
         let mut filled = 0;
         while let Some(rest) = bytes.get_mut(filled..).filter(|rest| !rest.is_empty()) {
-            match self.reader.read(rest) {
+            let read = if is_block && self.reader.buffer().is_empty() {
+                self.reader.get_mut().read(rest)
+            } else {
+                self.reader.read(rest)
+            };
+            match read {
                 Ok(0) => break,
                 Ok(n) => {
                     filled += n;
@@ -212,7 +239,14 @@ pub struct Batch<'a> {
     start: usize,
 }
 
-impl Batch<'_> {
+impl<'a> Batch<'a> {
+    /// A batch that is appended to `events`.
+    #[must_use]
+    pub const fn new(events: &'a mut Vec<Event>) -> Self {
+        let start = events.len();
+        Self { events, start }
+    }
+
     /// How many more events fit.
     #[must_use]
     pub fn room(&self) -> usize {
@@ -229,6 +263,12 @@ impl Batch<'_> {
     #[must_use]
     pub fn len(&self) -> usize {
         self.events.len() - self.start
+    }
+
+    /// Appends events: no more than there is room for.
+    #[inline]
+    pub fn extend(&mut self, events: impl ExactSizeIterator<Item = Event>) {
+        self.events.extend(events);
     }
 
     /// Appends an event.
@@ -279,8 +319,7 @@ impl<D: Decode> EventReader for Reader<D> {
         if self.ended {
             return Ok(0);
         }
-        let start = events.len();
-        let mut batch = Batch { events, start };
+        let mut batch = Batch::new(events);
         let result = self.decoder.decode(&mut batch);
         let read = batch.len();
         self.ended = result.is_err() || read == 0;
@@ -333,31 +372,56 @@ impl<const N: usize> Words<N> {
     /// closed files with one.
     #[inline]
     pub fn next(&mut self, input: &mut Input) -> anyhow::Result<Option<[u8; N]>> {
-        let rest = self.bytes.get(self.next..self.filled);
-        if let Some(word) = rest.and_then(<[u8]>::first_chunk) {
-            self.next += N;
-            return Ok(Some(*word));
+        loop {
+            let rest = self.bytes.get(self.next..self.filled);
+            if let Some(word) = rest.and_then(<[u8]>::first_chunk) {
+                self.next += N;
+                return Ok(Some(*word));
+            }
+            if !self.refill(input)? {
+                return Ok(None);
+            }
         }
-        self.refill(input)
     }
 
+    /// The offset of the next words, and `most` of them or fewer; none at the end.
+    ///
+    /// # Errors
+    /// As [`Words::next`].
+    pub fn run(&mut self, input: &mut Input, most: usize) -> anyhow::Result<(u64, &[[u8; N]])> {
+        if self.filled - self.next < N && !self.refill(input)? {
+            return Ok((input.offset(), &[]));
+        }
+        let offset = input.offset() - (self.filled - self.next) as u64;
+        let rest = self.bytes.get(self.next..self.filled);
+        let (words, _) = rest.unwrap_or_default().as_chunks();
+        let words = words.get(..most).unwrap_or(words);
+        self.next += words.len() * N;
+        Ok((offset, words))
+    }
+
+    /// Goes back by `words`, of those that [`Words::run`] gave last.
+    pub const fn back(&mut self, words: usize) {
+        self.next = self.next.saturating_sub(words * N);
+    }
+
+    /// Reads the next block when there is no whole word left; false at the end.
     #[cold]
-    fn refill(&mut self, input: &mut Input) -> anyhow::Result<Option<[u8; N]>> {
+    fn refill(&mut self, input: &mut Input) -> anyhow::Result<bool> {
         // A block is only shorter than whole words at the end of the file.
         let mut rest = self.filled - self.next;
         let mut first = self.bytes.get(self.next).copied();
         if rest == 0 {
             (self.next, self.filled) = (0, input.fill(&mut self.bytes)?);
-            if let Some(word) = self.bytes.get(..self.filled).and_then(<[u8]>::first_chunk) {
-                self.next = N;
-                return Ok(Some(*word));
+            if self.filled >= N {
+                return Ok(true);
             }
             rest = self.filled;
             first = self.bytes.first().copied();
         }
         (self.next, self.filled) = (0, 0);
         if rest == 0 || (rest == 1 && first == Some(b'\n')) {
-            return Ok(None);
+            return Ok(false);
         }
         Err(input.error_at(
             input.offset() - rest as u64,

@@ -5,6 +5,7 @@
 
 pub mod aedat2;
 pub mod aedat4;
+mod aedat4_table;
 mod aedat4_writer;
 pub mod ahead;
 pub mod arrow;
@@ -27,6 +28,7 @@ pub mod growing;
 pub mod hdf5;
 pub mod input;
 pub mod intact;
+mod lz4_frame;
 pub mod nmnist;
 mod npy_header;
 pub mod npz;
@@ -37,6 +39,7 @@ pub mod raw_header;
 mod raw_row;
 mod raw_writer;
 pub mod ros;
+mod runs;
 mod section;
 mod table_columns;
 pub mod text;

@@ -1,0 +1,101 @@
+//! `eecvs bench --read`: events per second that recordings are read with.
+
+use std::hint::black_box;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Result, ensure};
+use serde::Serialize;
+
+use super::output::{print, print_json};
+use crate::formats::{self, BATCH_EVENTS};
+
+/// Times that a file is read; the quickest counts.
+const REPETITIONS: usize = 7;
+
+/// A recording and how quickly it is read.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// As it was named.
+    pub file: String,
+    /// The format's name.
+    pub format: &'static str,
+    /// Number of its events.
+    pub events: u64,
+    /// Seconds from opening to the end, the least of all times.
+    pub seconds: f64,
+    /// Of that time.
+    pub events_per_s: f64,
+}
+
+/// Reads each of `files` on one thread, keeping a batch of events at a time, and prints how quickly.
+///
+/// # Errors
+/// A recording that cannot be read to its end, or is not the same each time.
+pub fn run(files: &[PathBuf], quick: bool, json: bool) -> Result<()> {
+    let repetitions = if quick { 1 } else { REPETITIONS };
+    let rows: Result<Vec<Row>> = files
+        .iter()
+        .map(|file| measure(file, repetitions))
+        .collect();
+    let rows = rows?;
+    if json {
+        return print_json(&rows);
+    }
+    let mut text = format!("{:<8}{:>12}{:>12}  file\n", "format", "events", "Mevents/s");
+    for row in rows {
+        let rate = row.events_per_s / 1e6;
+        text += &format!(
+            "{:<8}{:>12}{rate:>12.1}  {}\n",
+            row.format, row.events, row.file
+        );
+    }
+    print(&text)
+}
+
+fn measure(file: &Path, repetitions: usize) -> Result<Row> {
+    let mut quickest: Option<Row> = None;
+    for _ in 0..repetitions {
+        let row = read(file)?;
+        if let Some(before) = &quickest {
+            ensure!(
+                before.events == row.events,
+                "{}: changes while it is read: wait until it is whole",
+                file.display()
+            );
+        }
+        if quickest
+            .as_ref()
+            .is_none_or(|before| row.seconds < before.seconds)
+        {
+            quickest = Some(row);
+        }
+    }
+    quickest.map_or_else(|| read(file), Ok)
+}
+
+fn read(file: &Path) -> Result<Row> {
+    let start = Instant::now();
+    let mut reader = formats::open(file, None)?;
+    let mut batch = Vec::with_capacity(BATCH_EVENTS);
+    let mut events = 0;
+    loop {
+        batch.clear();
+        let read = reader.read(&mut batch)?;
+        if read == 0 {
+            break;
+        }
+        events += read as u64;
+        // Every event has been written to memory.
+        black_box(batch.as_slice());
+    }
+    // A clock that did not advance would make it infinite, which JSON cannot hold.
+    let seconds = start.elapsed().as_secs_f64().max(1e-9);
+    Ok(Row {
+        file: file.display().to_string(),
+        format: reader.format(),
+        events,
+        seconds,
+        events_per_s: events as f64 / seconds,
+    })
+}
