@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn what_is_appended_comes_too() {
-        for name in ["a.raw", "a.evt2", "a.dat", "a.aedat"] {
+        for name in ["a.raw", "a.evt2", "a.dat", "a.aedat", "a.mcap", "a.bag"] {
             let bytes = bytes(name);
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join(name);

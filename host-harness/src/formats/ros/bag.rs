@@ -12,10 +12,12 @@
 
 use eecvs_nostd::Sensor;
 
+pub use super::bag_writer::BagWriter;
 use super::chunk::Chunked;
 use super::decoder::{Messages, RosReader, Uses};
 use super::fields::Serialisation;
 use super::message::Kind;
+use super::packets::t_max_us;
 use super::topics::{Topics, Use};
 use crate::formats::Skipped;
 use crate::formats::format::{Format, Limits, Opening};
@@ -33,9 +35,13 @@ const CONNECTION_MAX: u32 = 1 << 20;
 /// Most connections: memory for each is kept.
 const CONNECTIONS_MAX: usize = 1 << 16;
 
-const MESSAGE: u8 = 2;
-const CHUNK: u8 = 5;
-const CONNECTION: u8 = 7;
+/// Kinds of records.
+pub(super) const MESSAGE: u8 = 2;
+pub(super) const BAG_HEADER: u8 = 3;
+pub(super) const INDEX: u8 = 4;
+pub(super) const CHUNK: u8 = 5;
+pub(super) const CHUNK_INFO: u8 = 6;
+pub(super) const CONNECTION: u8 = 7;
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -50,9 +56,12 @@ pub const FORMAT: Format = Format {
         Ok(Box::new(open(opening.source, name, place, size)?))
     },
     has_places: true,
-    grows: false,
-    limits: Limits::NONE,
-    create: None,
+    grows: true,
+    limits: Limits {
+        t_max_us: t_max_us(Serialisation::Ros1),
+        ..Limits::NONE
+    },
+    create: Some(|path, sensor| Ok(Box::new(BagWriter::create(path, sensor)?))),
 };
 
 /// Reads the bag `source`, which messages call `name`, as [`RosReader::new`].
@@ -146,8 +155,7 @@ impl Messages for Bag {
         skipped: &mut Skipped,
     ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
         loop {
-            self.bytes.leave();
-            if self.bytes.left() == 0 {
+            if !self.bytes.more()? {
                 return Ok(None);
             }
             self.at = self.bytes.offset();

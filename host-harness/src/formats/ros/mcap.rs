@@ -17,7 +17,9 @@ use eecvs_nostd::Sensor;
 use super::chunk::Chunked;
 use super::decoder::{Messages, RosReader, Uses};
 use super::fields::{Fields, Serialisation};
+pub use super::mcap_writer::McapWriter;
 use super::message::Kind;
+use super::packets::t_max_us;
 use super::topics::{Topics, Use};
 use crate::formats::Skipped;
 use crate::formats::format::{Format, Limits, Opening};
@@ -32,12 +34,18 @@ const DESCRIPTION_MAX: u64 = 1 << 20;
 /// Longest name of a type: memory for each is kept.
 const NAME_MAX: usize = 1 << 10;
 
-const FOOTER: u8 = 0x02;
-const SCHEMA: u8 = 0x03;
-const CHANNEL: u8 = 0x04;
-const MESSAGE: u8 = 0x05;
-const CHUNK: u8 = 0x06;
-const DATA_END: u8 = 0x0f;
+/// Kinds of records.
+pub(super) const HEADER: u8 = 0x01;
+pub(super) const FOOTER: u8 = 0x02;
+pub(super) const SCHEMA: u8 = 0x03;
+pub(super) const CHANNEL: u8 = 0x04;
+pub(super) const MESSAGE: u8 = 0x05;
+pub(super) const CHUNK: u8 = 0x06;
+pub(super) const MESSAGE_INDEX: u8 = 0x07;
+pub(super) const CHUNK_INDEX: u8 = 0x08;
+pub(super) const STATISTICS: u8 = 0x0b;
+pub(super) const SUMMARY_OFFSET: u8 = 0x0e;
+pub(super) const DATA_END: u8 = 0x0f;
 
 /// Bytes of a message before its data.
 const MESSAGE_HEAD: u64 = 2 + 4 + 8 + 8;
@@ -55,9 +63,12 @@ pub const FORMAT: Format = Format {
         Ok(Box::new(open(opening.source, name, place, size)?))
     },
     has_places: true,
-    grows: false,
-    limits: Limits::NONE,
-    create: None,
+    grows: true,
+    limits: Limits {
+        t_max_us: t_max_us(Serialisation::Cdr),
+        ..Limits::NONE
+    },
+    create: Some(|path, sensor| Ok(Box::new(McapWriter::create(path, sensor)?))),
 };
 
 /// Reads the file `source`, which messages call `name`, as [`RosReader::new`].
@@ -178,9 +189,9 @@ impl Messages for Mcap {
         skipped: &mut Skipped,
     ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
         while !self.ended {
-            self.bytes.leave();
+            let more = self.bytes.more()?;
             self.at = self.bytes.offset();
-            if self.bytes.left() == 0 {
+            if !more {
                 return Err(self.damaged(
                     "the file ends without the end of its data: the recording was cut off; what \
                      stands before can be used",
