@@ -32,6 +32,9 @@ impl Chunk {
     }
 }
 
+/// Longest index that is read: some 10^6 chunks.
+const INDEX_MAX: u64 = 1 << 27;
+
 /// Bytes by which memory grows, where a length is not yet known to be true.
 const STEP_BYTES: usize = 1 << 20;
 
@@ -80,6 +83,39 @@ impl Chunked {
     pub fn go(&mut self, offset: u64) -> anyhow::Result<()> {
         self.chunk = None;
         self.input.seek(offset)
+    }
+
+    /// The file's bytes from `start` up to `end`, or as many as there are; what is read next stays the same.
+    /// None where they are too many for an index.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn peek(&mut self, start: u64, end: u64) -> anyhow::Result<Option<Vec<u8>>> {
+        let offset = self.input.offset();
+        let end = end.min(self.input.end()?);
+        let length = end.saturating_sub(start);
+        let bytes = match usize::try_from(length) {
+            Ok(length) if length as u64 <= INDEX_MAX => {
+                let mut bytes = vec![0; length];
+                let filled = self.input.fill_at(start, &mut bytes)?;
+                bytes.truncate(filled);
+                Some(bytes)
+            }
+            _ => None,
+        };
+        self.input.seek(offset)?;
+        Ok(bytes)
+    }
+
+    /// The file's length at present; what is read next stays the same.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn length(&mut self) -> anyhow::Result<u64> {
+        let offset = self.input.offset();
+        let length = self.input.end()?;
+        self.input.seek(offset)?;
+        Ok(length)
     }
 
     /// Puts the next `n` bytes in place of `bytes`.

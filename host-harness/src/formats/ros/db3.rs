@@ -1,7 +1,9 @@
 //! Bags of ROS 2 in an SQLite database (`.db3`), as rosbag2's plugin `sqlite3` writes them.
 //!
 //! Table `topics` (id, name, type, serialization_format, ...) and `messages` (id, topic_id,
-//! timestamp, data); the data is CDR. Messages are read by ascending id, the order of writing.
+//! timestamp, data); the data is CDR. Messages are read by ascending id, the order of writing, and sought
+//! by it: timestamps are the computer's. A database that is being written cannot be followed: what is new
+//! in it stands anywhere, or in a journal beside it.
 //!
 //! SQLite itself reads the file: what a database may be (journals, overflow pages, versions) is no
 //! matter for a second reader. Its C library would make every first build longer, so this format is a
@@ -98,6 +100,8 @@ mod reader {
         topics: Option<Vec<(i64, Kind)>>,
         /// Number of the latest message.
         message: i64,
+        /// Of the first and the last message, once places were asked for.
+        numbers: Option<(i64, i64)>,
         /// Held so long as it is read.
         copy: Option<tempfile::NamedTempFile>,
     }
@@ -116,6 +120,7 @@ mod reader {
                 name: name.to_owned(),
                 topics: None,
                 message: i64::MIN,
+                numbers: None,
                 copy: None,
             })
         }
@@ -160,6 +165,16 @@ mod reader {
             count
                 .map(|count: i64| u64::try_from(count).unwrap_or(0))
                 .with_context(|| self.broken())
+        }
+
+        /// Numbers of the first and the last message.
+        fn numbers(&self) -> anyhow::Result<Option<(i64, i64)>> {
+            let ask = "SELECT min(id), max(id) FROM messages";
+            let numbers = self.connection.query_row(ask, [], |row| {
+                let (first, last): (Option<i64>, Option<i64>) = (row.get(0)?, row.get(1)?);
+                Ok(first.zip(last))
+            });
+            numbers.with_context(|| self.broken())
         }
 
         fn broken(&self) -> String {
@@ -217,6 +232,25 @@ mod reader {
             };
             self.topics = Some(wanted);
             Ok(found)
+        }
+
+        fn places(&mut self, topics: &mut Topics) -> anyhow::Result<Option<u64>> {
+            if self.topics.is_none() {
+                self.topics = Some(self.ask_topics(topics, &mut Skipped::default())?);
+            }
+            self.numbers = self.numbers()?;
+            // Every number is a place, whether a message has it or not: the next one is found.
+            Ok(self
+                .numbers
+                .map(|(first, last)| last.abs_diff(first).saturating_add(1)))
+        }
+
+        fn go(&mut self, place: u64, _: &mut Topics) -> anyhow::Result<()> {
+            if let Some((first, last)) = self.numbers {
+                let message = first.saturating_add_unsigned(place).min(last);
+                self.message = message.saturating_sub(1);
+            }
+            Ok(())
         }
 
         fn error(&self, at: usize, what: &str) -> anyhow::Error {
