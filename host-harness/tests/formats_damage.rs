@@ -110,6 +110,46 @@ fn flipped_bytes() {
     }
 }
 
+/// A damaged index is not believed, or leads somewhere in the file.
+#[test]
+fn seeking_in_damaged_bags() {
+    for (extension, sensor, events, bytes) in recordings() {
+        if !matches!(extension, "mcap" | "bag") {
+            continue;
+        }
+        let t_us = events[EVENTS as usize / 2].t_us;
+        let (mut sought, mut unsought) = (0, 0);
+        let end = bytes.len();
+        for (index, at) in (0..200).chain(end - 700..end).enumerate() {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= [0xff, 1 << (index % 8)][index % 2];
+            let source = Box::new(std::io::Cursor::new(damaged));
+            let opened = host_harness::formats::open_source(source, "damaged", Some(sensor));
+            let Ok(mut reader) = opened else { continue };
+            match reader.seek(t_us) {
+                Ok(true) => sought += 1,
+                Ok(false) => unsought += 1,
+                Err(error) => check_error(extension, Some(&error)),
+            }
+            let mut got = Vec::new();
+            loop {
+                match reader.read(&mut got) {
+                    Ok(0) => break,
+                    Ok(_) => assert!(got.len() <= events.len(), "{extension}: flip at {at}"),
+                    Err(error) => {
+                        check_error(extension, Some(&error));
+                        break;
+                    }
+                }
+            }
+        }
+        assert!(
+            sought > 0 && unsought > 0,
+            "{extension}: {sought}, {unsought}"
+        );
+    }
+}
+
 #[test]
 fn nonsense_is_no_recording() {
     let magics: [&[u8]; 11] = [

@@ -69,6 +69,10 @@ pub fn open_growing(
         "{name}: {} files are read when they are whole: wait for its end",
         format.title
     );
+    ensure!(
+        path.is_file(),
+        "{name}: only a file can be followed, not a folder nor a place in a file: name the bag's last file"
+    );
     // Without it, the largest pixel of the whole file would be looked for.
     let sensor = reader.sensor();
     if size.is_none() && has_no_size(path, sensor)? {
@@ -225,6 +229,9 @@ mod tests {
         assert!(refused("a.npz", None).contains("npz files"));
         assert!(refused("a.csv", None).contains("--width"));
         assert!(refused("none.raw", None).contains("none.raw"));
+        std::fs::write(at("a.bag"), bytes("a.bag")).unwrap();
+        let topic = "a.bag/event_camera/events";
+        assert!(refused(topic, None).contains("only a file"));
         assert!(open_growing(&at("a.csv"), Some(SENSOR), &follow(50)).is_ok());
     }
 }

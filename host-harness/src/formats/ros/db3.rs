@@ -262,3 +262,84 @@ mod reader {
         }
     }
 }
+
+#[cfg(all(test, feature = "db3"))]
+mod tests {
+    use std::path::Path;
+
+    use eecvs_nostd::{Event, Polarity, Sensor};
+    use rusqlite::{Connection, params};
+
+    use crate::formats::growing::{Follow, open_growing};
+    use crate::formats::open;
+    use crate::formats::ros::fields::Serialisation;
+    use crate::formats::ros::packets::{Packets, TOPIC};
+
+    /// A bag of ROS 2 whose messages have gaps in their numbers and stamps of another clock.
+    fn write(path: &Path, events: &[Event]) {
+        let sensor = Sensor::new(346, 260).unwrap();
+        let mut packets = Packets::new("test", sensor, Serialisation::Cdr);
+        let mut messages = Vec::new();
+        for events in events.chunks(100) {
+            let put = |message: &crate::formats::ros::packets::Message| {
+                messages.push(message.bytes.clone());
+                Ok(())
+            };
+            packets.write(events, put).unwrap();
+        }
+        packets
+            .finish(|message| {
+                messages.push(message.bytes.clone());
+                Ok(())
+            })
+            .unwrap();
+        let mut connection = Connection::open(path).unwrap();
+        let tables = "CREATE TABLE topics (id INTEGER PRIMARY KEY, name TEXT, type TEXT,
+                          serialization_format TEXT, offered_qos_profiles TEXT);
+                      CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER,
+                          timestamp INTEGER, data BLOB);";
+        connection.execute_batch(tables).unwrap();
+        let topic =
+            "INSERT INTO topics VALUES (3, ?1, 'event_camera_msgs/msg/EventPacket', 'cdr', '')";
+        connection.execute(topic, [TOPIC]).unwrap();
+        let transaction = connection.transaction().unwrap();
+        for (number, bytes) in messages.iter().enumerate() {
+            let row = "INSERT INTO messages VALUES (?1, 3, ?2, ?3)";
+            let (id, stamp) = (number as i64 * 3 + 40, -(number as i64));
+            transaction.execute(row, params![id, stamp, bytes]).unwrap();
+        }
+        transaction.commit().unwrap();
+    }
+
+    #[test]
+    fn seeking_goes_by_the_numbers_of_messages() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.db3");
+        let want: Vec<Event> = (0..20_000_u64)
+            .map(|i| Event {
+                t_us: i / 3 * 700,
+                x: (i % 346) as u16,
+                y: (i % 260) as u16,
+                polarity: Polarity::from_bool(i % 2 == 0),
+            })
+            .collect();
+        write(&path, &want);
+        let mut reader = open(&path, None).unwrap();
+        for target in [0, 700, 1_000_000, 4_665_000, 70_000, u64::MAX] {
+            assert!(reader.seek(target).unwrap());
+            let mut got = Vec::new();
+            while reader.read(&mut got).unwrap() > 0 {}
+            let wanted = want.len() - want.partition_point(|event| event.t_us < target);
+            assert!(want.ends_with(&got) && got.len() >= wanted, "{target}");
+            // A message spans 10 ms.
+            assert!(got.len() <= wanted + 50, "{target}: {}", got.len());
+        }
+        // What is appended to a database stands anywhere in it.
+        let follow = Follow {
+            idle: Some(std::time::Duration::ZERO),
+            stop: std::sync::Arc::default(),
+        };
+        let refused = open_growing(&path, None, &follow).err().unwrap();
+        assert!(refused.to_string().contains("SQLite"), "{refused}");
+    }
+}
