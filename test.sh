@@ -130,7 +130,7 @@ peers() {
         skip "peers: python3 cannot make an environment"
         return
     fi
-    for package in numpy faery expelliarmus evt3 evlib aedat rosbags mcap h5py hdf5plugin pyarrow scipy; do
+    for package in numpy faery expelliarmus evt3 evlib aedat rosbags mcap mcap-ros2-support h5py hdf5plugin pyarrow scipy; do
         "$folder/bin/pip" install -q "$package" || skip "peers: pip cannot install $package"
     done
     EECVS_PYTHON=$PWD/$folder/bin/python \

@@ -10,7 +10,7 @@ use eecvs_nostd::{
 use host_harness::encode::HostStorage;
 use host_harness::formats;
 
-const SEEDS: [(&str, &str, Sensor); 12] = [
+const SEEDS: [(&str, &str, Sensor); 14] = [
     (
         "read_aedat4",
         "events.aedat4",
@@ -81,6 +81,22 @@ const SEEDS: [(&str, &str, Sensor); 12] = [
         Sensor {
             width: 640,
             height: 480,
+        },
+    ),
+    (
+        "read_mcap",
+        "events.mcap",
+        Sensor {
+            width: 64,
+            height: 64,
+        },
+    ),
+    (
+        "read_rosbag",
+        "events.bag",
+        Sensor {
+            width: 64,
+            height: 64,
         },
     ),
     (

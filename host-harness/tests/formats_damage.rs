@@ -62,9 +62,10 @@ fn truncated_anywhere() {
             errors += u32::from(error.is_some());
             most = most.max(got.len());
             // What leads to the events of a zip, HDF5 or Parquet file stands at its end, as an LZ4 frame's
-            // checksum does; of a batch of columns, the last begins late.
+            // checksum does; of a batch of columns, the last begins late; MCAP's blocks are
+            // of 64 kB.
             let is_whole =
-                ["npz", "h5", "aedat4", "arrow", "arrows", "parquet"].contains(&extension);
+                ["npz", "h5", "aedat4", "arrow", "arrows", "parquet", "mcap"].contains(&extension);
             if !is_whole && length > bytes.len() / 2 {
                 assert!(
                     got.len() > 1000,
@@ -109,6 +110,46 @@ fn flipped_bytes() {
             }
         }
         assert!(noticed > 0, "{extension}");
+    }
+}
+
+/// A damaged index is not believed, or leads somewhere in the file.
+#[test]
+fn seeking_in_damaged_bags() {
+    for (extension, sensor, events, bytes) in recordings() {
+        if !matches!(extension, "mcap" | "bag") {
+            continue;
+        }
+        let t_us = events[EVENTS as usize / 2].t_us;
+        let (mut sought, mut unsought) = (0, 0);
+        let end = bytes.len();
+        for (index, at) in (0..200).chain(end - 700..end).enumerate() {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= [0xff, 1 << (index % 8)][index % 2];
+            let source = Box::new(std::io::Cursor::new(damaged));
+            let opened = host_harness::formats::open_source(source, "damaged", Some(sensor));
+            let Ok(mut reader) = opened else { continue };
+            match reader.seek(t_us) {
+                Ok(true) => sought += 1,
+                Ok(false) => unsought += 1,
+                Err(error) => check_error(extension, Some(&error)),
+            }
+            let mut got = Vec::new();
+            loop {
+                match reader.read(&mut got) {
+                    Ok(0) => break,
+                    Ok(_) => assert!(got.len() <= events.len(), "{extension}: flip at {at}"),
+                    Err(error) => {
+                        check_error(extension, Some(&error));
+                        break;
+                    }
+                }
+            }
+        }
+        assert!(
+            sought > 0 && unsought > 0,
+            "{extension}: {sought}, {unsought}"
+        );
     }
 }
 

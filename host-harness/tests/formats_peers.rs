@@ -86,7 +86,13 @@ fn prophesee() {
 
 #[test]
 fn ros_bags() {
-    compare("ros_bags.py", &[]);
+    compare(
+        "ros_bags.py",
+        &[
+            "davis346_static_sparse/davis346.aedat4",
+            "gen31_vga_rosbag_moderate/test_events_1.bag",
+        ],
+    );
 }
 
 #[test]

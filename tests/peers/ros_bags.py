@@ -1,19 +1,23 @@
-"""Bags of ROS written by rosbags and mcap, read by the command.
+"""Bags of ROS: those of rosbags and mcap, read by the command, and the other way round.
 
-    python tests/peers/ros_bags.py EECVS
+    python tests/peers/ros_bags.py EECVS [RECORDING ...]
 
-The encodings' words are packed here, by their definition alone. SQLite is left out where the command is built
-without it. comparison.py says what is printed.
+Random events and each of the recordings are written as bags by the command. The encodings' words are packed and
+unpacked here, by their definition alone. SQLite is left out where the command is built without it. comparison.py
+says what is printed.
 """
 
 import csv
+import json
+import pathlib
 import subprocess
 import sys
+import tempfile
 
 import comparison
 from comparison import np, package
 
-if not (package("rosbags") and package("mcap")):
+if not (package("rosbags") and package("mcap") and package("mcap_ros2")):
     sys.exit(77)
 
 from rosbags.rosbag1 import Writer as Writer1
@@ -268,10 +272,136 @@ def chunked(folder):
             check(f"MCAP chunks {compression.name}, summary whole: {whole}", same(got, events))
 
 
+def unpack(message):
+    """The events of a message in `libcaer`."""
+    if message.encoding != "libcaer" or message.is_bigendian:
+        raise ValueError(f"encoding {message.encoding}")
+    words = np.frombuffer(bytes(message.events), "<u4").reshape(-1, 2).astype(np.int64)
+    data, since = words[:, 0], words[:, 1]
+    if (np.diff(since) < 0).any():
+        raise ValueError("a reader takes a step back within a message for a roll-over")
+    t = message.time_base // 1000 + since
+    return np.stack([t, data >> 17, data >> 2 & 0x7FFF, data >> 1 & 1], axis=1)
+
+
+def stamp_ns(stamp):
+    nanos = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsecs
+    return stamp.sec * 1_000_000_000 + nanos
+
+
+def collect(messages, size):
+    """The events of messages with the times that they are stored under."""
+    parts, last = [np.zeros((0, 4), np.int64)], 0
+    for seq, (time_ns, message) in enumerate(messages):
+        stamp = stamp_ns(message.header.stamp)
+        right = message.seq == seq and (message.width, message.height) == size
+        last = max(last, stamp)
+        if not right or stamp != message.time_base or time_ns != last:
+            print(f"message {seq}: {message.seq}, {message.width}x{message.height}, {time_ns}, {stamp}")
+            return None
+        parts.append(unpack(message))
+    return np.concatenate(parts)
+
+
+def by_rosbags(path, kind):
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    with Reader1(path) if kind == "bag" else Reader2(path) as reader:
+        types = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
+        # The definitions in the file.
+        for connection in reader.connections:
+            definition = connection.msgdef.data
+            types.register(get_types_from_msg(definition, connection.msgtype))
+            if kind == "bag":
+                expected = types.generate_msgdef(connection.msgtype)[1]
+                check(f"{path.name}: MD5 of the definition", connection.digest == expected)
+        read = types.deserialize_ros1 if kind == "bag" else types.deserialize_cdr
+        for connection, time_ns, data in reader.messages():
+            yield time_ns, read(data, connection.msgtype)
+
+
+def by_mcap(path):
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
+
+    with open(path, "rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, _, message, decoded in reader.iter_decoded_messages():
+            yield message.log_time, decoded
+
+
+METADATA = """rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: {plugin}
+  duration: {{nanoseconds: 1}}
+  starting_time: {{nanoseconds_since_epoch: 0}}
+  message_count: {count}
+  topics_with_message_count:
+    - topic_metadata:
+        name: /event_camera/events
+        type: event_camera_msgs/msg/EventPacket
+        serialization_format: cdr
+        offered_qos_profiles: ""
+      message_count: {count}
+  compression_format: ""
+  compression_mode: ""
+  relative_file_paths:
+    - {file}
+"""
+
+
+def writing(folder, source, name, size=None):
+    """Bags that eecvs writes of `source`."""
+    sides = ["--width", str(size[0]), "--height", str(size[1])] if size else []
+    if size:
+        want = read_csv(source)
+    else:
+        told = json.loads(subprocess.check_output([comparison.eecvs, "info", "--json", source]))
+        size = (told["width"], told["height"])
+        text = folder / f"{name}.csv"
+        subprocess.run([comparison.eecvs, "convert", source, text], check=True, capture_output=True)
+        want = read_csv(text)
+    for kind in ("bag", "mcap"):
+        bag = folder / f"{name}_bag" / f"{name}.{kind}"
+        bag.parent.mkdir(exist_ok=True)
+        result = subprocess.run([comparison.eecvs, "convert", source, bag, *sides], capture_output=True, text=True)
+        if result.returncode:
+            print(result.stderr.strip())
+            check(f"{name}, {kind}", False)
+            continue
+        if kind == "mcap":
+            got = collect(by_mcap(bag), size)
+            check(f"{name}, {kind}, {len(want)} events, by mcap and mcap-ros2-support", same(got, want))
+            count = sum(1 for _ in by_mcap(bag))
+            yaml = METADATA.format(plugin="mcap", file=bag.name, count=count)
+            (bag.parent / "metadata.yaml").write_text(yaml)
+        path = bag if kind == "bag" else bag.parent
+        got = collect(by_rosbags(path, kind), size)
+        check(f"{name}, {kind}, {len(want)} events, by rosbags", same(got, want))
+
+
+def written(folder):
+    events = random_events(100_000)
+    # Steps back too.
+    events[::50, 0] -= 40
+    source = folder / "random.csv"
+    with open(source, "w") as file:
+        file.write("t,x,y,p\n")
+        np.savetxt(file, events, "%d", ",")
+    writing(folder, source, "random_events", (WIDTH, HEIGHT))
+
+
+def recording(path):
+    with tempfile.TemporaryDirectory() as folder:
+        writing(pathlib.Path(folder), path, path.stem.replace(".", "_"))
+
+
 def made(folder):
+    written(folder)
     reading(folder)
     chunked(folder)
 
 
 if __name__ == "__main__":
-    comparison.run(__doc__, print, made)
+    comparison.run(__doc__, recording, made)

@@ -208,7 +208,7 @@ impl Decode for FramesDecoder {
             };
             let rest = window.events.get(self.given..).unwrap_or_default();
             let part = rest.get(..batch.room()).unwrap_or(rest);
-            batch.extend(part);
+            batch.extend(part.iter().copied());
             self.given += part.len();
             if part.len() == rest.len()
                 && let Some(window) = self.window.take()

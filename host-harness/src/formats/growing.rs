@@ -69,6 +69,10 @@ pub fn open_growing(
         "{name}: {} files are read when they are whole: wait for its end",
         format.title
     );
+    ensure!(
+        path.is_file(),
+        "{name}: only a file can be followed, not a folder nor a place in a file: name the bag's last file"
+    );
     // Without it, the largest pixel of the whole file would be looked for.
     let sensor = reader.sensor();
     if size.is_none() && has_no_size(path, sensor)? {
@@ -170,7 +174,9 @@ mod tests {
 
     #[test]
     fn what_is_appended_comes_too() {
-        for name in ["a.raw", "a.evt2", "a.dat", "a.aedat", "a.aedat4"] {
+        for name in [
+            "a.raw", "a.evt2", "a.dat", "a.aedat", "a.aedat4", "a.mcap", "a.bag",
+        ] {
             let bytes = bytes(name);
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join(name);
@@ -270,6 +276,9 @@ mod tests {
         assert!(refused("a.npz", None).contains("npz files"));
         assert!(refused("a.csv", None).contains("--width"));
         assert!(refused("none.raw", None).contains("none.raw"));
+        std::fs::write(at("a.bag"), bytes("a.bag")).unwrap();
+        let topic = "a.bag/event_camera/events";
+        assert!(refused(topic, None).contains("only a file"));
         assert!(open_growing(&at("a.csv"), Some(SENSOR), &follow(50)).is_ok());
     }
 }

@@ -81,6 +81,30 @@ impl Input {
         self.length
     }
 
+    /// Whether no byte follows. Of a file that is still being written, one is waited for.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn at_end(&mut self) -> anyhow::Result<bool> {
+        loop {
+            match self.reader.fill_buf() {
+                Ok(bytes) => return Ok(bytes.is_empty()),
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(self.unreadable(error)),
+            }
+        }
+    }
+
+    /// Goes to the end and returns its position; unlike [`Input::length`], that of a file that has grown.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn end(&mut self) -> anyhow::Result<u64> {
+        let sought = self.reader.seek(SeekFrom::End(0));
+        self.offset = sought.with_context(|| format!("{}: its end cannot be sought", self.name))?;
+        Ok(self.offset)
+    }
+
     /// Continues at byte `offset`.
     ///
     /// # Errors
@@ -274,11 +298,6 @@ impl<'a> Batch<'a> {
     /// Appends an event.
     pub fn push(&mut self, event: Event) {
         self.events.push(event);
-    }
-
-    /// Appends events, no more than there is room for.
-    pub fn extend(&mut self, events: &[Event]) {
-        self.events.extend_from_slice(events);
     }
 }
 

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 /// Every extension that can be written, and a sensor that its format can hold.
 #[allow(dead_code, reason = "not every test file writes recordings")]
-pub const FORMATS: [(&str, Sensor); 16] = [
+pub const FORMATS: [(&str, Sensor); 18] = [
     (
         "aedat4",
         Sensor {
@@ -71,6 +71,20 @@ pub const FORMATS: [(&str, Sensor); 16] = [
         Sensor {
             width: 1280,
             height: 720,
+        },
+    ),
+    (
+        "mcap",
+        Sensor {
+            width: 2048,
+            height: 2048,
+        },
+    ),
+    (
+        "bag",
+        Sensor {
+            width: 640,
+            height: 480,
         },
     ),
     (

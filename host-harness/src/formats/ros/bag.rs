@@ -7,15 +7,18 @@
 //! (`conn`, `topic`, and in the data `type`).
 //!
 //! Records are read one after the other, so that a bag that was never closed (`.bag.active`) or cut
-//! off is read as far as it goes; indexes are passed over. The reader holds a message and, where it is
-//! compressed, a chunk.
+//! off is read as far as it goes; indexes are passed over, but for seeking. So can a bag that is being
+//! written, unless its chunks are compressed: `rosbag record` writes their lengths when they are full. The
+//! reader holds a message and, where it is compressed, a chunk.
 
 use eecvs_nostd::Sensor;
 
+pub use super::bag_writer::BagWriter;
 use super::chunk::Chunked;
 use super::decoder::{Messages, RosReader, Uses};
 use super::fields::Serialisation;
 use super::message::Kind;
+use super::packets::t_max_us;
 use super::topics::{Topics, Use};
 use crate::formats::Skipped;
 use crate::formats::format::{Format, Limits, Opening};
@@ -27,15 +30,22 @@ pub const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// Longest header of a record.
 const HEADER_MAX: u32 = 1 << 16;
 
+/// The bag's first record with its padding.
+const HEADER_BYTES: u64 = 4096;
+
 /// Longest data of a connection record: definitions of messages have a few kB.
 const CONNECTION_MAX: u32 = 1 << 20;
 
 /// Most connections: memory for each is kept.
 const CONNECTIONS_MAX: usize = 1 << 16;
 
-const MESSAGE: u8 = 2;
-const CHUNK: u8 = 5;
-const CONNECTION: u8 = 7;
+/// Kinds of records.
+pub(super) const MESSAGE: u8 = 2;
+pub(super) const BAG_HEADER: u8 = 3;
+pub(super) const INDEX: u8 = 4;
+pub(super) const CHUNK: u8 = 5;
+pub(super) const CHUNK_INFO: u8 = 6;
+pub(super) const CONNECTION: u8 = 7;
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -50,9 +60,12 @@ pub const FORMAT: Format = Format {
         Ok(Box::new(open(opening.source, name, place, size)?))
     },
     has_places: true,
-    grows: false,
-    limits: Limits::NONE,
-    create: None,
+    grows: true,
+    limits: Limits {
+        t_max_us: t_max_us(Serialisation::Ros1),
+        ..Limits::NONE
+    },
+    create: Some(|path, sensor| Ok(Box::new(BagWriter::create(path, sensor)?))),
 };
 
 /// Reads the bag `source`, which messages call `name`, as [`RosReader::new`].
@@ -75,6 +88,8 @@ pub struct Bag {
     header: Vec<u8>,
     /// Position of the latest record's data.
     at: u64,
+    /// Where reading can begin, once asked.
+    places: Option<Vec<u64>>,
 }
 
 impl Bag {
@@ -93,6 +108,7 @@ impl Bag {
             connections: Uses::new(),
             header: Vec::new(),
             at: 0,
+            places: None,
         })
     }
 
@@ -112,11 +128,82 @@ impl Bag {
         value.ok_or_else(|| self.damaged(&format!("a record without {name}: it is damaged")))
     }
 
+    /// Takes a connection, whose record's header is the latest one.
+    fn connect(&mut self, data: &[u8], topics: &mut Topics) -> anyhow::Result<()> {
+        if self.connections.len() >= CONNECTIONS_MAX {
+            return Err(self.damaged("too many connections: it is damaged"));
+        }
+        let connection = u32::from_le_bytes(self.number("conn")?);
+        let topic = self.text(&self.header, "topic")?;
+        let kind = self.text(data, "type")?;
+        // Each connection is told again at the bag's end.
+        let uses = topics
+            .meet(&topic, &kind)
+            .map_err(|what| self.damaged(&what))?;
+        self.connections.insert(connection.into(), uses);
+        Ok(())
+    }
+
+    /// The bag's beginning and its chunks, where the bag was closed and tells them and all connections.
+    fn index(&mut self, topics: &mut Topics) -> anyhow::Result<Option<Vec<u64>>> {
+        let start = MAGIC.len() as u64;
+        let head = self.bytes.peek(start, start + HEADER_BYTES)?;
+        let head = head.unwrap_or_default();
+        let Some((header, _)) = split(&head) else {
+            return Ok(None);
+        };
+        let index = field(header, "index_pos").and_then(|value| value.try_into().ok());
+        let count = |name| field(header, name).and_then(|value| value.try_into().ok());
+        let (Some(index), Some(connections), Some(chunks)) =
+            (index, count("conn_count"), count("chunk_count"))
+        else {
+            return Ok(None);
+        };
+        let index = u64::from_le_bytes(index);
+        if index <= start {
+            return Ok(None);
+        }
+        let Some(records) = self.bytes.peek(index, u64::MAX)? else {
+            return Ok(None);
+        };
+        let mut places = vec![start];
+        let mut rest = records.as_slice();
+        while let Some((header, behind)) = split(rest) {
+            let Some((data, behind)) = split(behind) else {
+                break;
+            };
+            rest = behind;
+            self.header.clear();
+            self.header.extend_from_slice(header);
+            match self.number("op") {
+                Ok([CONNECTION]) if self.connect(data, topics).is_ok() => {}
+                Ok([CHUNK_INFO]) => match self.number("chunk_pos") {
+                    Ok(place) => places.push(u64::from_le_bytes(place)),
+                    Err(_) => return Ok(None),
+                },
+                _ => return Ok(None),
+            }
+        }
+        places.sort_unstable();
+        // Messages of a connection that only an earlier chunk tells of would be taken for unknown.
+        let known = self.connections.len() as u64 >= u64::from(u32::from_le_bytes(connections));
+        let whole = places.len() as u64 == u64::from(u32::from_le_bytes(chunks)) + 1;
+        let inside = places.last().is_some_and(|last| *last < index);
+        let usable = rest.is_empty() && known && whole && inside;
+        Ok(usable.then_some(places))
+    }
+
     fn text(&self, bytes: &[u8], name: &str) -> anyhow::Result<String> {
         let value = field(bytes, name).and_then(|value| std::str::from_utf8(value).ok());
         let value = value.map(str::to_owned);
         value.ok_or_else(|| self.damaged(&format!("a record without {name}: it is damaged")))
     }
+}
+
+/// What a length of 32 bits counts, and what is behind.
+fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk()?;
+    rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)
 }
 
 /// The value of a field of a header.
@@ -146,8 +233,7 @@ impl Messages for Bag {
         skipped: &mut Skipped,
     ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
         loop {
-            self.bytes.leave();
-            if self.bytes.left() == 0 {
+            if !self.bytes.more()? {
                 return Ok(None);
             }
             self.at = self.bytes.offset();
@@ -182,21 +268,30 @@ impl Messages for Bag {
                     self.bytes.enter(&compression, length.into(), size.into())?;
                 }
                 [CONNECTION] => {
-                    if length > CONNECTION_MAX || self.connections.len() >= CONNECTIONS_MAX {
-                        return Err(self.damaged("too long or too many connections: damaged"));
+                    if length > CONNECTION_MAX {
+                        return Err(self.damaged("a connection is too long: it is damaged"));
                     }
-                    let connection = u32::from_le_bytes(self.number("conn")?);
-                    let topic = self.text(&self.header, "topic")?;
                     self.bytes.take(message, length.into())?;
-                    let kind = self.text(message, "type")?;
-                    // Each connection is told again at the bag's end.
-                    let uses = topics
-                        .meet(&topic, &kind)
-                        .map_err(|what| self.damaged(&what))?;
-                    self.connections.insert(connection.into(), uses);
+                    self.connect(message, topics)?;
                 }
                 _ => self.bytes.skip(length.into())?,
             }
+        }
+    }
+
+    fn places(&mut self, topics: &mut Topics) -> anyhow::Result<Option<u64>> {
+        if self.places.is_none() {
+            self.places = self.index(topics)?;
+        }
+        Ok(self.places.as_ref().map(|places| places.len() as u64))
+    }
+
+    fn go(&mut self, place: u64, _: &mut Topics) -> anyhow::Result<()> {
+        let place = usize::try_from(place).unwrap_or(usize::MAX);
+        let places = self.places.as_deref().unwrap_or_default();
+        match places.get(place) {
+            Some(offset) => self.bytes.go(*offset),
+            None => Ok(()),
         }
     }
 

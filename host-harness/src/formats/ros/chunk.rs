@@ -18,7 +18,25 @@ struct Chunk {
     next: usize,
     /// Position of the chunk's bytes in the file.
     offset: u64,
+    /// Where and why the bytes end early, if they do: said when they have been read.
+    fault: Option<(u64, String)>,
 }
+
+impl Chunk {
+    /// The next `n` bytes; none where fewer are left.
+    fn next(&mut self, n: u64) -> Option<&[u8]> {
+        let rest = self.bytes.get(self.next..)?;
+        let next = rest.get(..usize::try_from(n).ok()?)?;
+        self.next += next.len();
+        Some(next)
+    }
+}
+
+/// Longest index that is read: some 10^6 chunks.
+const INDEX_MAX: u64 = 1 << 27;
+
+/// Bytes by which memory grows, where a length is not yet known to be true.
+const STEP_BYTES: usize = 1 << 20;
 
 impl Chunked {
     /// Begins at the file's position.
@@ -42,13 +60,62 @@ impl Chunked {
         }
     }
 
-    /// Bytes up to the end of the chunk or the file.
-    #[must_use]
-    pub fn left(&self) -> u64 {
-        match &self.chunk {
-            Some(chunk) => chunk.bytes.len().saturating_sub(chunk.next) as u64,
-            None => self.input.length().saturating_sub(self.input.offset()),
+    /// Whether there are more bytes; leaves a compressed chunk that has been read to its end.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn more(&mut self) -> anyhow::Result<bool> {
+        if let Some(Chunk {
+            bytes, next, fault, ..
+        }) = &self.chunk
+            && (*next < bytes.len() || fault.is_some())
+        {
+            return Ok(true);
         }
+        self.chunk = None;
+        Ok(!self.input.at_end()?)
+    }
+
+    /// Goes on at byte `offset` of the file, outside of any compressed chunk.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn go(&mut self, offset: u64) -> anyhow::Result<()> {
+        self.chunk = None;
+        self.input.seek(offset)
+    }
+
+    /// The file's bytes from `start` up to `end`, or as many as there are; what is read next stays the same.
+    /// None where they are too many for an index.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn peek(&mut self, start: u64, end: u64) -> anyhow::Result<Option<Vec<u8>>> {
+        let offset = self.input.offset();
+        let end = end.min(self.input.end()?);
+        let length = end.saturating_sub(start);
+        let bytes = match usize::try_from(length) {
+            Ok(length) if length as u64 <= INDEX_MAX => {
+                let mut bytes = vec![0; length];
+                let filled = self.input.fill_at(start, &mut bytes)?;
+                bytes.truncate(filled);
+                Some(bytes)
+            }
+            _ => None,
+        };
+        self.input.seek(offset)?;
+        Ok(bytes)
+    }
+
+    /// The file's length at present; what is read next stays the same.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn length(&mut self) -> anyhow::Result<u64> {
+        let offset = self.input.offset();
+        let length = self.input.end()?;
+        self.input.seek(offset)?;
+        Ok(length)
     }
 
     /// Puts the next `n` bytes in place of `bytes`.
@@ -56,22 +123,43 @@ impl Chunked {
     /// # Errors
     /// Fewer are left, or more than a message may have.
     pub fn take(&mut self, bytes: &mut Vec<u8>, n: u64) -> anyhow::Result<()> {
-        self.check(n)?;
-        let n = usize::try_from(n).unwrap_or(usize::MAX);
-        if n > MESSAGE_MAX {
+        if let Some(chunk) = &mut self.chunk {
+            let Some(next) = chunk.next(n) else {
+                return Err(self.cut());
+            };
+            bytes.clear();
+            bytes.extend_from_slice(next);
+            return Ok(());
+        }
+        let taken = self.take_some(bytes, n)?;
+        match n - taken {
+            0 => Ok(()),
+            missing => Err(self.ended(self.input.offset(), missing)),
+        }
+    }
+
+    /// Puts the file's next `n` bytes, or as many as it has, in place of `bytes`; returns how many.
+    fn take_some(&mut self, bytes: &mut Vec<u8>, n: u64) -> anyhow::Result<u64> {
+        if n > MESSAGE_MAX as u64 {
             return Err(self.error(format!(
                 "a record of {n} bytes, more than the {MESSAGE_MAX} that one may have: it is damaged"
             )));
         }
         bytes.clear();
-        if let Some(chunk) = &mut self.chunk {
-            let rest = chunk.bytes.get(chunk.next..).unwrap_or_default();
-            bytes.extend_from_slice(rest.get(..n).unwrap_or_default());
-            chunk.next += n;
-            return Ok(());
+        let n = usize::try_from(n).unwrap_or(MESSAGE_MAX);
+        while bytes.len() < n {
+            let before = bytes.len();
+            bytes.resize(n.min(before + STEP_BYTES), 0);
+            let asked = bytes.len() - before;
+            let filled = self
+                .input
+                .fill(bytes.get_mut(before..).unwrap_or_default())?;
+            bytes.truncate(before + filled);
+            if filled < asked {
+                break;
+            }
         }
-        bytes.resize(n, 0);
-        self.input.fill(bytes).map(drop)
+        Ok(bytes.len() as u64)
     }
 
     /// Passes over `n` bytes.
@@ -79,49 +167,51 @@ impl Chunked {
     /// # Errors
     /// Fewer are left.
     pub fn skip(&mut self, n: u64) -> anyhow::Result<()> {
-        self.check(n)?;
         if let Some(chunk) = &mut self.chunk {
-            chunk.next += usize::try_from(n).unwrap_or(0);
+            return match chunk.next(n) {
+                Some(_) => Ok(()),
+                None => Err(self.cut()),
+            };
+        }
+        let Some(before_last) = n.checked_sub(1) else {
             return Ok(());
-        }
-        self.input.seek(self.input.offset() + n)
-    }
-
-    /// Leaves a compressed chunk that has been read to its end.
-    pub fn leave(&mut self) {
-        if self.left() == 0 {
-            self.chunk = None;
-        }
-    }
-
-    fn check(&self, n: u64) -> anyhow::Result<()> {
-        let left = self.left();
-        if n <= left {
-            return Ok(());
-        }
-        let missing = n - left;
-        Err(match self.chunk {
-            Some(_) => self.error(format!(
-                "a record in this chunk ends {missing} bytes early: it is damaged"
-            )),
-            None => {
-                let end = self.input.length();
-                self.input.error_at(
-                    end,
-                    format!(
-                        "the file ends {missing} bytes early: the recording was cut off; what stands \
-                         before can be used"
-                    ),
-                )
+        };
+        let last = self.input.offset().checked_add(before_last);
+        // Files are not longer. Of what is still being written, the last byte is waited for.
+        let last = last.filter(|last| i64::try_from(*last).is_ok());
+        if let Some(last) = last {
+            self.input.seek(last)?;
+            if self.input.fill(&mut [0])? == 1 {
+                return Ok(());
             }
-        })
+        }
+        let end = self.input.end()?;
+        let missing = last
+            .unwrap_or(u64::MAX)
+            .saturating_sub(end)
+            .saturating_add(1);
+        Err(self.ended(end, missing))
+    }
+
+    /// The present compressed chunk has no more bytes, but should.
+    fn cut(&self) -> anyhow::Error {
+        match self.chunk.as_ref().and_then(|chunk| chunk.fault.as_ref()) {
+            Some((at, what)) => self.input.error_at(*at, what),
+            None => self.error("a record in this chunk goes beyond its end: it is damaged"),
+        }
+    }
+
+    fn ended(&self, end: u64, missing: u64) -> anyhow::Error {
+        self.input.error_at(end, ends_early(missing))
     }
 
     /// Reads a chunk's next `packed` bytes, which become `size` bytes of records by the named
     /// compression: `lz4`, `bz2`, `zstd`, or none (empty or `none`), where the file is read on.
     ///
+    /// What can be decompressed of a chunk that is damaged, or was cut off, comes before the error.
+    ///
     /// # Errors
-    /// Fewer bytes are left, another compression or length.
+    /// A chunk in a chunk, a length that no chunk has.
     pub fn enter(&mut self, compression: &str, packed: u64, size: u64) -> anyhow::Result<()> {
         if self.chunk.is_some() {
             return Err(self.error("a chunk inside of a chunk: it is damaged"));
@@ -142,9 +232,15 @@ impl Chunked {
                  with smaller chunks"
             )));
         }
+        if packed == 0 {
+            return Err(self.error(format!(
+                "a chunk in {compression} that was not closed: its recorder was cut off, or is at \
+                 work: only chunks without compression can be read before"
+            )));
+        }
         let offset = self.input.offset();
         let mut from = Vec::new();
-        self.take(&mut from, packed)?;
+        let missing = packed - self.take_some(&mut from, packed)?;
         let mut bytes = Vec::new();
         // One byte more, to tell a chunk that is too long.
         let unpacked = match compression {
@@ -165,21 +261,23 @@ impl Chunked {
             other => Err(format!("compression {other:?} is not known")),
         };
         let fault = match unpacked {
+            _ if missing > 0 => Some((self.input.offset(), ends_early(missing))),
             Ok(n) if n as u64 == size => None,
-            Ok(n) => Some(format!("{n} bytes or more instead of {size}")),
-            Err(what) => Some(what),
-        };
-        if let Some(what) = fault {
-            return Err(self.input.error_at(
+            Ok(n) => Some((
+                offset,
+                format!("a chunk has {n} bytes or more instead of {size}: it is damaged"),
+            )),
+            Err(what) => Some((
                 offset,
                 format!("a chunk cannot be decompressed ({what}): it is damaged"),
-            ));
-        }
+            )),
+        };
         let next = 0;
         self.chunk = Some(Chunk {
             bytes,
             next,
             offset,
+            fault,
         });
         Ok(())
     }
@@ -188,4 +286,10 @@ impl Chunked {
     pub fn error(&self, what: impl std::fmt::Display) -> anyhow::Error {
         self.input.error_at(self.offset(), what)
     }
+}
+
+fn ends_early(missing: u64) -> String {
+    format!(
+        "the file ends {missing} bytes early: the recording was cut off; what stands before can be used"
+    )
 }

@@ -1,7 +1,9 @@
 //! Bags of ROS 2 in an SQLite database (`.db3`), as rosbag2's plugin `sqlite3` writes them.
 //!
 //! Table `topics` (id, name, type, serialization_format, ...) and `messages` (id, topic_id,
-//! timestamp, data); the data is CDR. Messages are read by ascending id, the order of writing.
+//! timestamp, data); the data is CDR. Messages are read by ascending id, the order of writing, and sought
+//! by it: timestamps are the computer's. A database that is being written cannot be followed: what is new
+//! in it stands anywhere, or in a journal beside it.
 //!
 //! SQLite itself reads the file: what a database may be (journals, overflow pages, versions) is no
 //! matter for a second reader. Its C library would make every first build longer, so this format is a
@@ -98,6 +100,8 @@ mod reader {
         topics: Option<Vec<(i64, Kind)>>,
         /// Number of the latest message.
         message: i64,
+        /// Of the first and the last message, once places were asked for.
+        numbers: Option<(i64, i64)>,
         /// Held so long as it is read.
         copy: Option<tempfile::NamedTempFile>,
     }
@@ -116,6 +120,7 @@ mod reader {
                 name: name.to_owned(),
                 topics: None,
                 message: i64::MIN,
+                numbers: None,
                 copy: None,
             })
         }
@@ -160,6 +165,16 @@ mod reader {
             count
                 .map(|count: i64| u64::try_from(count).unwrap_or(0))
                 .with_context(|| self.broken())
+        }
+
+        /// Numbers of the first and the last message.
+        fn numbers(&self) -> anyhow::Result<Option<(i64, i64)>> {
+            let ask = "SELECT min(id), max(id) FROM messages";
+            let numbers = self.connection.query_row(ask, [], |row| {
+                let (first, last): (Option<i64>, Option<i64>) = (row.get(0)?, row.get(1)?);
+                Ok(first.zip(last))
+            });
+            numbers.with_context(|| self.broken())
         }
 
         fn broken(&self) -> String {
@@ -219,6 +234,25 @@ mod reader {
             Ok(found)
         }
 
+        fn places(&mut self, topics: &mut Topics) -> anyhow::Result<Option<u64>> {
+            if self.topics.is_none() {
+                self.topics = Some(self.ask_topics(topics, &mut Skipped::default())?);
+            }
+            self.numbers = self.numbers()?;
+            // Every number is a place, whether a message has it or not: the next one is found.
+            Ok(self
+                .numbers
+                .map(|(first, last)| last.abs_diff(first).saturating_add(1)))
+        }
+
+        fn go(&mut self, place: u64, _: &mut Topics) -> anyhow::Result<()> {
+            if let Some((first, last)) = self.numbers {
+                let message = first.saturating_add_unsigned(place).min(last);
+                self.message = message.saturating_sub(1);
+            }
+            Ok(())
+        }
+
         fn error(&self, at: usize, what: &str) -> anyhow::Error {
             let Self { name, message, .. } = self;
             match *message {
@@ -226,5 +260,86 @@ mod reader {
                 message => anyhow::anyhow!("{name}: message {message}, byte {at}: {what}"),
             }
         }
+    }
+}
+
+#[cfg(all(test, feature = "db3"))]
+mod tests {
+    use std::path::Path;
+
+    use eecvs_nostd::{Event, Polarity, Sensor};
+    use rusqlite::{Connection, params};
+
+    use crate::formats::growing::{Follow, open_growing};
+    use crate::formats::open;
+    use crate::formats::ros::fields::Serialisation;
+    use crate::formats::ros::packets::{Packets, TOPIC};
+
+    /// A bag of ROS 2 whose messages have gaps in their numbers and stamps of another clock.
+    fn write(path: &Path, events: &[Event]) {
+        let sensor = Sensor::new(346, 260).unwrap();
+        let mut packets = Packets::new("test", sensor, Serialisation::Cdr);
+        let mut messages = Vec::new();
+        for events in events.chunks(100) {
+            let put = |message: &crate::formats::ros::packets::Message| {
+                messages.push(message.bytes.clone());
+                Ok(())
+            };
+            packets.write(events, put).unwrap();
+        }
+        packets
+            .finish(|message| {
+                messages.push(message.bytes.clone());
+                Ok(())
+            })
+            .unwrap();
+        let mut connection = Connection::open(path).unwrap();
+        let tables = "CREATE TABLE topics (id INTEGER PRIMARY KEY, name TEXT, type TEXT,
+                          serialization_format TEXT, offered_qos_profiles TEXT);
+                      CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER,
+                          timestamp INTEGER, data BLOB);";
+        connection.execute_batch(tables).unwrap();
+        let topic =
+            "INSERT INTO topics VALUES (3, ?1, 'event_camera_msgs/msg/EventPacket', 'cdr', '')";
+        connection.execute(topic, [TOPIC]).unwrap();
+        let transaction = connection.transaction().unwrap();
+        for (number, bytes) in messages.iter().enumerate() {
+            let row = "INSERT INTO messages VALUES (?1, 3, ?2, ?3)";
+            let (id, stamp) = (number as i64 * 3 + 40, -(number as i64));
+            transaction.execute(row, params![id, stamp, bytes]).unwrap();
+        }
+        transaction.commit().unwrap();
+    }
+
+    #[test]
+    fn seeking_goes_by_the_numbers_of_messages() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.db3");
+        let want: Vec<Event> = (0..20_000_u64)
+            .map(|i| Event {
+                t_us: i / 3 * 700,
+                x: (i % 346) as u16,
+                y: (i % 260) as u16,
+                polarity: Polarity::from_bool(i % 2 == 0),
+            })
+            .collect();
+        write(&path, &want);
+        let mut reader = open(&path, None).unwrap();
+        for target in [0, 700, 1_000_000, 4_665_000, 70_000, u64::MAX] {
+            assert!(reader.seek(target).unwrap());
+            let mut got = Vec::new();
+            while reader.read(&mut got).unwrap() > 0 {}
+            let wanted = want.len() - want.partition_point(|event| event.t_us < target);
+            assert!(want.ends_with(&got) && got.len() >= wanted, "{target}");
+            // A message spans 10 ms.
+            assert!(got.len() <= wanted + 50, "{target}: {}", got.len());
+        }
+        // What is appended to a database stands anywhere in it.
+        let follow = Follow {
+            idle: Some(std::time::Duration::ZERO),
+            stop: std::sync::Arc::default(),
+        };
+        let refused = open_growing(&path, None, &follow).err().unwrap();
+        assert!(refused.to_string().contains("SQLite"), "{refused}");
     }
 }

@@ -16,6 +16,12 @@
 //! * `EventArray`: the structure's time.
 //!
 //! Nanoseconds are rounded down to microseconds.
+//!
+//! Seeking asks the index of a file for its places (chunks, or rows of a table) and no times of it: those
+//! are the computer's at the arrival, which need not be the sensor's clock. The place is bisected by the
+//! times of events, of the first message behind each place that is tried. `evt3` and `libcaer_cmp` are read
+//! from their start: their words go on where the message before has ended, and `evt3` tells a time within
+//! 16.8 s, so that what an event is depends on all that is before.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
@@ -46,6 +52,25 @@ pub trait Messages: Send {
         topics: &mut Topics,
         skipped: &mut Skipped,
     ) -> anyhow::Result<Option<(Kind, Serialisation)>>;
+
+    /// Number of places from which messages can be read on, in the file's order, where the file tells
+    /// them; the first is its beginning. What is read next stays the same.
+    ///
+    /// # Errors
+    /// I/O.
+    fn places(&mut self, topics: &mut Topics) -> anyhow::Result<Option<u64>> {
+        let _ = topics;
+        Ok(None)
+    }
+
+    /// Reads on from one of [`Messages::places`], which has been asked.
+    ///
+    /// # Errors
+    /// I/O.
+    fn go(&mut self, place: u64, topics: &mut Topics) -> anyhow::Result<()> {
+        let _ = (place, topics);
+        Ok(())
+    }
 
     /// Error at byte `at` of the message that was read last.
     fn error(&self, at: usize, what: &str) -> anyhow::Error;
@@ -95,6 +120,8 @@ impl RosReader {
             sensor,
             message,
             content: Some(head.content),
+            alone: head.content.is_alone(),
+            sought: false,
             evt3: WordDecoder::new(sensor, 0),
             libcaer_high_us: 0,
             libcaer_last_us: 0,
@@ -125,6 +152,10 @@ pub struct RosDecoder {
     message: Vec<u8>,
     /// What of the message is unread.
     content: Option<Content>,
+    /// Whether the latest message can be read without those before it.
+    alone: bool,
+    /// Events are not counted from the file's beginning.
+    sought: bool,
     evt3: WordDecoder,
     /// Rolled over within this message.
     libcaer_high_us: u64,
@@ -154,17 +185,46 @@ impl RosDecoder {
             return Err(self.messages.error(0, &what));
         }
         self.content = Some(head.content);
+        self.alone = head.content.is_alone();
         (self.libcaer_high_us, self.libcaer_last_us) = (0, 0);
         (self.vectors.high, self.vectors.low) = (0, 0);
         Ok(true)
     }
 
+    /// Whether the first event from a place on is before a time. Where there is none, or a damage, reading
+    /// has to begin before.
+    fn is_before(&mut self, place: u64, t_us: u64) -> bool {
+        let Self {
+            messages,
+            topics,
+            message,
+            ..
+        } = self;
+        if messages.go(place, topics).is_err() {
+            return false;
+        }
+        // What is passed here is not read.
+        let mut skipped = Skipped::default();
+        while let Ok(Some((kind, serialisation))) = messages.next(message, topics, &mut skipped) {
+            let Ok(Head { content, .. }) = Head::read(message, kind, serialisation) else {
+                return false;
+            };
+            if !content.is_empty() {
+                return content.first_us(message).is_some_and(|first| first < t_us);
+            }
+        }
+        false
+    }
+
     fn outside(&self, at: usize, x: i64, y: i64) -> anyhow::Error {
         let Sensor { width, height } = self.sensor;
+        let event = match self.sought {
+            true => "an event".to_owned(),
+            false => format!("event {}", self.events),
+        };
         let what = format!(
-            "event {} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): the recording \
-             is damaged",
-            self.events
+            "{event} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): the recording is \
+             damaged"
         );
         self.messages.error(at, &what)
     }
@@ -330,6 +390,28 @@ impl Decode for RosDecoder {
         &self.skipped
     }
 
+    fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
+        if !self.alone {
+            return Ok(false);
+        }
+        let Some(places) = self.messages.places(&mut self.topics)? else {
+            return Ok(false);
+        };
+        // The last place whose first event is before the time, or the beginning.
+        let (mut place, mut end) = (0, places);
+        while end.saturating_sub(place) > 1 {
+            let middle = place + (end - place) / 2;
+            match self.is_before(middle, t_us) {
+                true => place = middle,
+                false => end = middle,
+            }
+        }
+        self.messages.go(place, &mut self.topics)?;
+        self.content = None;
+        self.sought = true;
+        Ok(true)
+    }
+
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
         while batch.room() >= VECTOR_EVENTS {
             match self.content {
@@ -360,5 +442,149 @@ impl Decode for RosDecoder {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::{Path, PathBuf};
+
+    use super::*;
+    use crate::formats::{EventReader, create, open};
+
+    const SENSOR: Sensor = Sensor {
+        width: 346,
+        height: 260,
+    };
+
+    /// Events of several chunks, with many of each time.
+    fn some_events(from: u64, n: u64) -> Vec<Event> {
+        (from..from + n)
+            .map(|i| Event {
+                t_us: 1_700_000_000_000_000 + i / 7 * 7,
+                x: (i % 346) as u16,
+                y: (i / 346 % 260) as u16,
+                polarity: Polarity::from_bool(i % 3 == 0),
+            })
+            .collect()
+    }
+
+    fn write(path: &Path, events: &[Event]) {
+        let mut writer = create(path, SENSOR).unwrap();
+        writer.write(events).unwrap();
+        writer.finish().unwrap();
+    }
+
+    fn rest(reader: &mut dyn EventReader) -> Vec<Event> {
+        let mut events = Vec::new();
+        while reader.read(&mut events).unwrap() > 0 {}
+        events
+    }
+
+    /// Seeks in `path`, to and fro, and reads every event from there on, and few before.
+    fn check_seeks(path: &Path, want: &[Event], before_max: usize) {
+        let mut reader = open(path, None).unwrap();
+        assert_eq!(rest(reader.as_mut()), want);
+        let (first, last) = (want[0].t_us, want[want.len() - 1].t_us);
+        for target in [
+            last,
+            0,
+            first,
+            first + 7,
+            (first + last) / 2,
+            first + (last - first) / 3,
+            last - 7,
+            last + 1,
+            u64::MAX,
+        ] {
+            assert!(reader.seek(target).unwrap(), "{}", path.display());
+            let got = rest(reader.as_mut());
+            assert!(want.ends_with(&got), "{}: {target}", path.display());
+            let wanted = want.len() - want.partition_point(|event| event.t_us < target);
+            assert!(got.len() >= wanted, "{}: {target}", path.display());
+            assert!(
+                got.len() <= wanted + before_max,
+                "{}: {target}: {} events, {wanted} wanted",
+                path.display(),
+                got.len()
+            );
+        }
+    }
+
+    #[test]
+    fn seeking_gives_every_event_from_a_time_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let want = some_events(0, 700_000);
+        for (name, chunk) in [("a.mcap", 145_000), ("a.bag", 115_000)] {
+            let path = folder.path().join(name);
+            write(&path, &want);
+            check_seeks(&path, &want, chunk);
+        }
+    }
+
+    #[test]
+    fn seeking_goes_over_the_files_of_a_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| -> PathBuf { folder.path().join(name) };
+        let want = some_events(0, 450_000);
+        let mut list = "relative_file_paths:\n".to_owned();
+        for (number, part) in want.chunks(150_000).enumerate() {
+            let name = format!("part_{number}.mcap");
+            write(&at(&name), part);
+            list += &format!("  - {name}\n");
+        }
+        std::fs::write(at("metadata.yaml"), list).unwrap();
+        check_seeks(folder.path(), &want, 145_000);
+    }
+
+    #[test]
+    fn without_an_index_nothing_is_done() {
+        let folder = tempfile::tempdir().unwrap();
+        let want = some_events(0, 300_000);
+        for name in ["a.mcap", "a.bag"] {
+            let path = folder.path().join(name);
+            write(&path, &want);
+            let mut bytes = std::fs::read(&path).unwrap();
+            bytes.truncate(bytes.len() - 5);
+            std::fs::write(&path, &bytes).unwrap();
+            let mut reader = open(&path, None).unwrap();
+            let mut got = Vec::new();
+            reader.read(&mut got).unwrap();
+            assert!(!reader.seek(want[200_000].t_us).unwrap());
+            while let Ok(1..) = reader.read(&mut got) {}
+            assert_eq!(got, want, "{name}");
+        }
+    }
+
+    /// Of a chunk in LZ4 that was cut off, whole blocks of 64 kB can be read.
+    #[test]
+    fn a_chunk_that_was_cut_off_gives_what_it_has() {
+        let folder = tempfile::tempdir().unwrap();
+        let want = some_events(0, 100_000);
+        let path = folder.path().join("a.mcap");
+        write(&path, &want);
+        let bytes = std::fs::read(&path).unwrap();
+        for part in 1..10 {
+            std::fs::write(&path, &bytes[..bytes.len() * part / 10]).unwrap();
+            let Ok(mut reader) = open(&path, None) else {
+                assert!(part == 1);
+                continue;
+            };
+            let mut got = Vec::new();
+            let error = loop {
+                match reader.read(&mut got) {
+                    Ok(0) => panic!("the cut was not noticed"),
+                    Ok(_) => {}
+                    Err(error) => break error.to_string(),
+                }
+            };
+            assert!(error.contains("cut off"), "{error}");
+            assert!(want.starts_with(&got));
+            assert!(
+                got.len() + 25_000 > want.len() * part / 10,
+                "{part}: {}",
+                got.len()
+            );
+        }
     }
 }

@@ -43,12 +43,13 @@ pub fn open(path: &Path, place: Option<&str>, size: Option<Sensor>) -> anyhow::R
         !files.is_empty(),
         "{name}: byte 0: no relative_file_paths: write it anew with `ros2 bag reindex`"
     );
-    // The first file stands last.
-    let files: Vec<PathBuf> = files.iter().rev().map(|file| path.join(file)).collect();
+    let files: Vec<PathBuf> = files.iter().map(|file| path.join(file)).collect();
     let messages = Folder {
         name,
         files,
+        next: 0,
         file: None,
+        places: Vec::new(),
     };
     RosReader::new(Box::new(messages), place, size)
 }
@@ -66,9 +67,12 @@ fn files(text: &str) -> Vec<&str> {
 /// The messages of several files.
 struct Folder {
     name: String,
-    /// Files to come, the next one last.
     files: Vec<PathBuf>,
+    /// Number of the file behind the present one.
+    next: usize,
     file: Option<Box<dyn Messages>>,
+    /// Places of each file, once asked.
+    places: Vec<u64>,
 }
 
 /// Opens one file of a bag.
@@ -105,11 +109,40 @@ impl Messages for Folder {
             {
                 return Ok(Some(next));
             }
-            let Some(path) = self.files.pop() else {
+            let Some(path) = self.files.get(self.next) else {
                 return Ok(None);
             };
-            self.file = Some(open_file(&path)?);
+            self.file = Some(open_file(path)?);
+            self.next += 1;
         }
+    }
+
+    fn places(&mut self, topics: &mut Topics) -> anyhow::Result<Option<u64>> {
+        if self.places.is_empty() {
+            for file in &self.files {
+                // Without an index a file has its beginning.
+                let places = open_file(file)?.places(topics)?.unwrap_or(1);
+                self.places.push(places);
+            }
+        }
+        let sum = |sum: u64, places: &u64| sum.checked_add(*places);
+        Ok(self.places.iter().try_fold(0, sum))
+    }
+
+    fn go(&mut self, mut place: u64, topics: &mut Topics) -> anyhow::Result<()> {
+        for (number, (path, places)) in self.files.iter().zip(&self.places).enumerate() {
+            if place < *places {
+                let mut file = open_file(path)?;
+                // Its own index: the topics of earlier files are not met.
+                file.places(topics)?;
+                file.go(place, topics)?;
+                self.file = Some(file);
+                self.next = number + 1;
+                return Ok(());
+            }
+            place -= places;
+        }
+        Ok(())
     }
 
     fn error(&self, at: usize, what: &str) -> anyhow::Error {

@@ -6,8 +6,9 @@
 //! ns, data), 6 chunk (u64 first and last time, u64 size, u32 CRC, compression: none, `lz4` or `zstd`,
 //! u64 length, records), F end of the data, 2 footer. The data of a message is CDR.
 //!
-//! Records are read one after the other up to the end of the data, so that a file without its summary
-//! or cut off is read as far as it goes. The CRCs are not checked: LZ4 and Zstandard find damage of
+//! Records are read one after the other up to the end of the data, so that a file without its summary,
+//! cut off or still being written is read as far as it goes; the summary tells where chunks are, for
+//! seeking. The CRCs are not checked: LZ4 and Zstandard find damage of
 //! their own. The reader holds a message and, where it is compressed, a chunk. The crate `mcap` builds
 //! two C libraries for its compressions, and three stacks of derive macros without them; it is the
 //! peer of the tests by its Python twin.
@@ -17,7 +18,9 @@ use eecvs_nostd::Sensor;
 use super::chunk::Chunked;
 use super::decoder::{Messages, RosReader, Uses};
 use super::fields::{Fields, Serialisation};
+pub use super::mcap_writer::McapWriter;
 use super::message::Kind;
+use super::packets::t_max_us;
 use super::topics::{Topics, Use};
 use crate::formats::Skipped;
 use crate::formats::format::{Format, Limits, Opening};
@@ -32,12 +35,21 @@ const DESCRIPTION_MAX: u64 = 1 << 20;
 /// Longest name of a type: memory for each is kept.
 const NAME_MAX: usize = 1 << 10;
 
-const FOOTER: u8 = 0x02;
-const SCHEMA: u8 = 0x03;
-const CHANNEL: u8 = 0x04;
-const MESSAGE: u8 = 0x05;
-const CHUNK: u8 = 0x06;
-const DATA_END: u8 = 0x0f;
+/// Kinds of records.
+pub(super) const HEADER: u8 = 0x01;
+pub(super) const FOOTER: u8 = 0x02;
+pub(super) const SCHEMA: u8 = 0x03;
+pub(super) const CHANNEL: u8 = 0x04;
+pub(super) const MESSAGE: u8 = 0x05;
+pub(super) const CHUNK: u8 = 0x06;
+pub(super) const MESSAGE_INDEX: u8 = 0x07;
+pub(super) const CHUNK_INDEX: u8 = 0x08;
+pub(super) const STATISTICS: u8 = 0x0b;
+pub(super) const SUMMARY_OFFSET: u8 = 0x0e;
+pub(super) const DATA_END: u8 = 0x0f;
+
+/// Bytes of the footer, with the magic behind it.
+const FOOTER_BYTES: u64 = 1 + 8 + 8 + 8 + 4 + 8;
 
 /// Bytes of a message before its data.
 const MESSAGE_HEAD: u64 = 2 + 4 + 8 + 8;
@@ -55,9 +67,12 @@ pub const FORMAT: Format = Format {
         Ok(Box::new(open(opening.source, name, place, size)?))
     },
     has_places: true,
-    grows: false,
-    limits: Limits::NONE,
-    create: None,
+    grows: true,
+    limits: Limits {
+        t_max_us: t_max_us(Serialisation::Cdr),
+        ..Limits::NONE
+    },
+    create: Some(|path, sensor| Ok(Box::new(McapWriter::create(path, sensor)?))),
 };
 
 /// Reads the file `source`, which messages call `name`, as [`RosReader::new`].
@@ -83,6 +98,8 @@ pub struct Mcap {
     /// Position of the latest record.
     at: u64,
     ended: bool,
+    /// Where reading can begin, once asked.
+    places: Option<Vec<u64>>,
 }
 
 impl Mcap {
@@ -103,6 +120,7 @@ impl Mcap {
             content: Vec::new(),
             at: 0,
             ended: false,
+            places: None,
         })
     }
 
@@ -136,6 +154,63 @@ impl Mcap {
         }
         self.channels.insert(id.into(), uses);
         Ok(())
+    }
+
+    /// The file's beginning and its chunks, where the summary tells them and all channels.
+    fn index(&mut self, topics: &mut Topics) -> anyhow::Result<Option<Vec<u64>>> {
+        let length = self.bytes.length()?;
+        let Some(footer) = length.checked_sub(FOOTER_BYTES) else {
+            return Ok(None);
+        };
+        let bytes = self.bytes.peek(footer, length)?.unwrap_or_default();
+        let [FOOTER, 20, 0, 0, 0, 0, 0, 0, 0, rest @ ..] = bytes.as_slice() else {
+            return Ok(None);
+        };
+        let start = rest.first_chunk().copied().map_or(0, u64::from_le_bytes);
+        if start == 0 || start > footer || !bytes.ends_with(MAGIC) {
+            return Ok(None);
+        }
+        let Some(summary) = self.bytes.peek(start, footer)? else {
+            return Ok(None);
+        };
+        Ok(self.summary(&summary, start, topics))
+    }
+
+    /// What [`Mcap::index`] finds in the records of the summary, which begins at `start`.
+    fn summary(&mut self, summary: &[u8], start: u64, topics: &mut Topics) -> Option<Vec<u64>> {
+        let mut places = vec![MAGIC.len() as u64];
+        // A file without channels has no events either.
+        let mut channels = 1;
+        let mut rest = summary;
+        while let Some((opcode, behind)) = rest.split_first() {
+            let (length, behind) = behind.split_first_chunk()?;
+            let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+            let (content, behind) = behind.split_at_checked(length)?;
+            rest = behind;
+            match *opcode {
+                SCHEMA | CHANNEL => {
+                    self.content.clear();
+                    self.content.extend_from_slice(content);
+                    self.describe(*opcode, topics).ok()?;
+                }
+                STATISTICS => {
+                    // Behind the numbers of messages and of schemas.
+                    let count = content.get(8 + 2..)?.first_chunk()?;
+                    channels = u32::from_le_bytes(*count);
+                }
+                CHUNK_INDEX => {
+                    // Behind the first and the last time.
+                    let place = content.get(8 + 8..)?.first_chunk()?;
+                    places.push(u64::from_le_bytes(*place));
+                }
+                _ => {}
+            }
+        }
+        places.sort_unstable();
+        let inside = places.last().is_some_and(|last| *last < start);
+        // Messages of a channel that only an earlier chunk tells of would be taken for unknown.
+        let known = self.channels.len() as u64 >= u64::from(channels);
+        (places.len() > 1 && inside && known).then_some(places)
     }
 
     /// Reads a chunk's head and goes on inside of it.
@@ -178,9 +253,9 @@ impl Messages for Mcap {
         skipped: &mut Skipped,
     ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
         while !self.ended {
-            self.bytes.leave();
+            let more = self.bytes.more()?;
             self.at = self.bytes.offset();
-            if self.bytes.left() == 0 {
+            if !more {
                 return Err(self.damaged(
                     "the file ends without the end of its data: the recording was cut off; what \
                      stands before can be used",
@@ -225,6 +300,23 @@ impl Messages for Mcap {
             }
         }
         Ok(None)
+    }
+
+    fn places(&mut self, topics: &mut Topics) -> anyhow::Result<Option<u64>> {
+        if self.places.is_none() {
+            self.places = self.index(topics)?;
+        }
+        Ok(self.places.as_ref().map(|places| places.len() as u64))
+    }
+
+    fn go(&mut self, place: u64, _: &mut Topics) -> anyhow::Result<()> {
+        let place = usize::try_from(place).unwrap_or(usize::MAX);
+        let places = self.places.as_deref().unwrap_or_default();
+        if let Some(offset) = places.get(place) {
+            self.bytes.go(*offset)?;
+            self.ended = false;
+        }
+        Ok(())
     }
 
     fn error(&self, at: usize, what: &str) -> anyhow::Error {

@@ -96,6 +96,53 @@ pub enum Content {
     },
 }
 
+impl Content {
+    /// Whether the events can be read without the messages before.
+    #[must_use]
+    pub const fn is_alone(&self) -> bool {
+        match self {
+            Self::Packed { encoding, .. } => matches!(encoding, Encoding::Libcaer | Encoding::Mono),
+            Self::Array { .. } => true,
+        }
+    }
+
+    /// Whether there are no events.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        match self {
+            Self::Packed { at, end, .. } => *at >= *end,
+            Self::Array { left, .. } => *left == 0,
+        }
+    }
+
+    /// Time of the first event of `message`, whose content this is, where it can be read alone.
+    #[must_use]
+    pub fn first_us(&self, message: &[u8]) -> Option<u64> {
+        let t_ns = match *self {
+            Self::Array { cursor, .. } => {
+                let mut fields = Fields::resume(message, cursor);
+                fields.u16().and_then(|_| fields.u16()).ok()?;
+                fields.time_ns().ok()?
+            }
+            Self::Packed {
+                encoding,
+                base_ns,
+                at,
+                ..
+            } => {
+                let [a, b, c, d, e, f, g, h] = *message.get(at..)?.first_chunk()?;
+                let since_ns = match encoding {
+                    Encoding::Libcaer => u64::from(u32::from_le_bytes([e, f, g, h])) * 1000,
+                    Encoding::Mono => u32::from_le_bytes([a, b, c, d]).into(),
+                    Encoding::Evt3 | Encoding::LibcaerCmp => return None,
+                };
+                base_ns.checked_add(since_ns)?
+            }
+        };
+        Some(t_ns / 1000)
+    }
+}
+
 /// What stands before a message's events.
 #[derive(Debug)]
 pub struct Head {

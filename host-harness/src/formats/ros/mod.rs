@@ -7,11 +7,14 @@
 //! come in the order of the file, which is that of their arrival.
 
 pub mod bag;
+mod bag_writer;
 pub mod chunk;
 pub mod db3;
 pub mod decoder;
 pub mod fields;
 pub mod folder;
 pub mod mcap;
+mod mcap_writer;
 pub mod message;
+mod packets;
 pub mod topics;
