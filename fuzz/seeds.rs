@@ -10,7 +10,7 @@ use eecvs_nostd::{
 use host_harness::encode::HostStorage;
 use host_harness::formats;
 
-const SEEDS: [(&str, &str, Sensor); 14] = [
+const SEEDS: [(&str, &str, Sensor); 15] = [
     (
         "read_aedat4",
         "events.aedat4",
@@ -65,6 +65,14 @@ const SEEDS: [(&str, &str, Sensor); 14] = [
         Sensor {
             width: 640,
             height: 480,
+        },
+    ),
+    (
+        "read_nmnist",
+        "events.bin",
+        Sensor {
+            width: 34,
+            height: 34,
         },
     ),
     (
@@ -143,8 +151,8 @@ fn main() -> anyhow::Result<()> {
         let folder = root.join(target);
         std::fs::create_dir_all(&folder)?;
         let mut events = events();
-        if target == "read_es" {
-            // A byte for each 127 us that pass.
+        if target == "read_es" || target == "read_nmnist" {
+            // A byte for each 127 us that pass; 23 bits of time.
             events.iter_mut().for_each(|event| event.t_us -= 16_776_000);
         }
         let mut writer = formats::create(&folder.join(name), sensor)?;

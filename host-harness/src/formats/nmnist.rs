@@ -12,8 +12,8 @@
 //! reader that it offers, `eventvision.py`, which tonic's is made of. The MATLAB reader beside it takes a 240
 //! for an event; the data sets' own recordings have none.
 //!
-//! The size is the caller's, as the file has none; without it a first pass finds the largest x and y, plus one,
-//! as `eventvision.py` does. Nothing marks the format but the name's ending. There is no index, and a time is the
+//! The size is the caller's, as the file has none; without it a first pass decides: N-MNIST's 34 x 34 where every
+//! event fits, as not every digit reaches the border; else the largest x and y, plus one, as in `eventvision.py`. Nothing marks the format but the name's ending. There is no index, and a time is the
 //! sum of what stands before it, so that the reader does not seek.
 
 use std::fs::File;
@@ -34,6 +34,9 @@ const OVERFLOW_Y: u8 = 240;
 const OVERFLOW_US: u64 = 1 << 13;
 
 const TIME_BITS: u32 = 23;
+
+/// Columns, and rows, of N-MNIST.
+const SIDE: u16 = 34;
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -84,7 +87,7 @@ impl NmnistReader {
     }
 }
 
-/// Size that holds every event; the input is at its start again.
+/// N-MNIST's size, or one that holds every event; the input is at its start again.
 fn largest(input: &mut Input) -> anyhow::Result<Sensor> {
     let mut words = Words::<5>::default();
     let (mut width, mut height) = (0, 0);
@@ -96,6 +99,9 @@ fn largest(input: &mut Input) -> anyhow::Result<Sensor> {
         }
     }
     input.seek(0)?;
+    if width > 0 && width <= SIDE && height <= SIDE {
+        (width, height) = (SIDE, SIDE);
+    }
     Sensor::new(width, height)
         .ok_or_else(|| input.error_at(0, "no event, so no sensor size: give --width W --height H"))
 }
@@ -270,6 +276,11 @@ mod tests {
             "{error}"
         );
         let nothing = NmnistReader::new(Box::new(Cursor::new(vec![0, 240, 0, 0, 0])), "test", None);
+        let few = [[3, 4, 0x80, 1, 2], [0, 33, 0, 0, 0]];
+        assert_eq!(
+            read(few.as_flattened(), None).0,
+            Sensor::new(34, 34).unwrap()
+        );
         assert!(nothing.err().unwrap().to_string().contains("--width"));
     }
 
