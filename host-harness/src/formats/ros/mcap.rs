@@ -149,7 +149,7 @@ impl Mcap {
             && encoding != "cdr"
         {
             return Err(format!(
-                "topic {topic} is serialised as {encoding:?}: record it as cdr"
+                "topic {topic:?} is serialised as {encoding:?}: record it as cdr"
             ));
         }
         self.channels.insert(id.into(), uses);

@@ -5,6 +5,9 @@ use super::message::Kind;
 /// Topics of events that are kept for messages, at the most.
 const NAMES_MAX: usize = 64;
 
+/// Letters of a name in messages, at the most.
+const NAME_SHOWN: usize = 100;
+
 /// The topic that is read, named by the caller or else the first one of events.
 #[derive(Debug, Default)]
 pub struct Topics {
@@ -44,7 +47,9 @@ impl Topics {
         let Some(kind) = kind else {
             if wanted {
                 return Err(format!(
-                    "the topic {topic} holds {kind_name}: events are {}",
+                    "the topic {} holds {}: events are {}",
+                    shown(topic),
+                    shown(kind_name),
                     Kind::NAMES
                 ));
             }
@@ -70,6 +75,7 @@ impl Topics {
         match (&self.wanted, self.events.as_slice()) {
             (Some(wanted), []) => format!("no events on the topic {wanted}, nor on another"),
             (Some(wanted), events) if !events.contains(wanted) => {
+                let events: Vec<String> = events.iter().map(|name| shown(name)).collect();
                 let events = events.join(", ");
                 format!("no topic {wanted}: the recording's topics of events are {events}")
             }
@@ -77,6 +83,12 @@ impl Topics {
             (None, _) => format!("no topic holds events ({})", Kind::NAMES),
         }
     }
+}
+
+/// A name of a file that may be damaged, on one line.
+fn shown(name: &str) -> String {
+    let start: String = name.chars().take(NAME_SHOWN).collect();
+    start.escape_debug().to_string()
 }
 
 #[cfg(test)]
