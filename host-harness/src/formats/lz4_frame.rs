@@ -158,7 +158,9 @@ mod tests {
 
     /// Frames of every kind, which are whole, and what becomes of them: cut, without an end, damaged.
     fn frames() -> Vec<(Vec<u8>, bool)> {
-        let content: Vec<u8> = (0..300_000_u32).map(|i| (i / 7 * i % 251) as u8).collect();
+        let content: Vec<u8> = (0..300_000_u32)
+            .map(|i| ((i / 7).wrapping_mul(i) % 251) as u8)
+            .collect();
         let mut frames = vec![(vec![], false), (vec![4; 3], false)];
         for size in [BlockSize::Max64KB, BlockSize::Max1MB, BlockSize::Max64KB] {
             for mode in [BlockMode::Linked, BlockMode::Independent] {
