@@ -11,8 +11,6 @@
 //! `# AEChip:`; without one, addresses above 16 bits mean DAVIS240C. The time wraps after 71.6
 //! minutes; the wraps are carried. No maintained crate reads AEDAT 2.0.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::Context;
@@ -20,8 +18,9 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
+use super::output::Output;
 use super::wrapping::Wrapping;
-use super::{EventWriter, Skipped, create_file};
+use super::{EventWriter, Skipped};
 
 /// First line of every AEDAT 2.0 file, without its line end.
 pub const MAGIC: &[u8] = b"#!AER-DAT2";
@@ -283,8 +282,7 @@ fn chip_of_addresses(input: &mut Input) -> anyhow::Result<Chip> {
 /// Times up to 2^60 us (the header line `# time_base_us:` carries what exceeds 32 bits), in any
 /// order as long as a reader can follow the wraps; gaps stay below 35 minutes.
 pub struct Aedat2Writer {
-    file: BufWriter<File>,
-    name: String,
+    file: Output,
     chip: Chip,
     /// `None` until the first event: the header needs its time.
     time: Option<Wrapping>,
@@ -307,10 +305,9 @@ impl Aedat2Writer {
                 sensor.height
             )
         })?;
-        let (file, name) = create_file(path)?;
+        let file = Output::create(path)?;
         Ok(Self {
             file,
-            name,
             chip,
             time: None,
             events: 0,
@@ -329,21 +326,15 @@ impl Aedat2Writer {
             text += &format!("{TIME_BASE_KEY} {}\r\n", time.base());
         }
         text += "#End Of ASCII Header\r\n";
-        self.put(text.as_bytes())?;
+        self.file.put(text.as_bytes())?;
         Ok(time)
-    }
-
-    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
-        self.file
-            .write_all(bytes)
-            .with_context(|| format!("{}: cannot be written", self.name))
     }
 }
 
 impl EventWriter for Aedat2Writer {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         for event in events {
-            super::check_inside(&self.name, self.events, event, self.chip.sensor())?;
+            super::check_inside(self.file.name(), self.events, event, self.chip.sensor())?;
             let mut time = match self.time.take() {
                 Some(time) => time,
                 None => self.header(event.t_us)?,
@@ -351,13 +342,14 @@ impl EventWriter for Aedat2Writer {
             // Below 2^32.
             let low = time.low(event.t_us) as u32;
             if time.extend(u64::from(low)) != event.t_us {
-                let refused = super::time_refused(&self.name, self.events, event.t_us, "AEDAT 2.0");
+                let refused =
+                    super::time_refused(self.file.name(), self.events, event.t_us, "AEDAT 2.0");
                 anyhow::bail!(refused);
             }
             self.time = Some(time);
             let address = self.chip.encode(event);
-            self.put(&address.to_be_bytes())?;
-            self.put(&low.to_be_bytes())?;
+            self.file.put(&address.to_be_bytes())?;
+            self.file.put(&low.to_be_bytes())?;
             self.events += 1;
         }
         Ok(())
@@ -367,8 +359,6 @@ impl EventWriter for Aedat2Writer {
         if self.events == 0 {
             self.header(0)?;
         }
-        self.file
-            .flush()
-            .with_context(|| format!("{}: cannot be written", self.name))
+        self.file.finish()
     }
 }

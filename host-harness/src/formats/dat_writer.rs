@@ -1,15 +1,13 @@
 //! Writer of Prophesee DAT files.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use anyhow::Context;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
+use super::EventWriter;
 use super::dat::{EVENT_CD, RECORD_BYTES};
+use super::output::Output;
 use super::wrapping::Wrapping;
-use super::{EventWriter, create_file};
 
 /// What a `% T0` stays before the first event: events that are late find room.
 const ROOM_US: u64 = 1 << 20;
@@ -20,8 +18,7 @@ const ROOM_US: u64 = 1 << 20;
 /// From 2^32 us on, times count from a second before the first event, and a line `% T0` says from where:
 /// readers that do not know it lose only that.
 pub struct DatWriter {
-    file: BufWriter<File>,
-    name: String,
+    file: Output,
     sensor: Sensor,
     t0_us: u64,
     /// `None` until the first event: the header needs its time.
@@ -35,10 +32,9 @@ impl DatWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
+        let file = Output::create(path)?;
         Ok(Self {
             file,
-            name,
             sensor,
             t0_us: 0,
             time: None,
@@ -60,26 +56,20 @@ impl DatWriter {
         if self.t0_us > 0 {
             text += &format!("% T0 {}\n", self.t0_us);
         }
-        self.put(text.as_bytes())?;
-        self.put(&[EVENT_CD, RECORD_BYTES as u8])?;
+        self.file.put(text.as_bytes())?;
+        self.file.put(&[EVENT_CD, RECORD_BYTES as u8])?;
         Ok(Wrapping::new(32, 0))
     }
 
     fn refused(&self, t_us: u64) -> String {
-        super::time_refused(&self.name, self.events, t_us, "DAT")
-    }
-
-    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
-        self.file
-            .write_all(bytes)
-            .with_context(|| format!("{}: cannot be written", self.name))
+        super::time_refused(self.file.name(), self.events, t_us, "DAT")
     }
 }
 
 impl EventWriter for DatWriter {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         for event in events {
-            super::check_inside(&self.name, self.events, event, self.sensor)?;
+            super::check_inside(self.file.name(), self.events, event, self.sensor)?;
             let mut time = match self.time.take() {
                 Some(time) => time,
                 None => self.header(event.t_us)?,
@@ -96,7 +86,7 @@ impl EventWriter for DatWriter {
             let address = u64::from(event.polarity == Polarity::On) << 28
                 | u64::from(event.y) << 14
                 | u64::from(event.x);
-            self.put(&(address << 32 | low).to_le_bytes())?;
+            self.file.put(&(address << 32 | low).to_le_bytes())?;
             self.events += 1;
         }
         Ok(())
@@ -106,8 +96,6 @@ impl EventWriter for DatWriter {
         if self.events == 0 {
             self.header(0)?;
         }
-        self.file
-            .flush()
-            .with_context(|| format!("{}: cannot be written", self.name))
+        self.file.finish()
     }
 }

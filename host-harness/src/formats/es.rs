@@ -24,16 +24,14 @@
 //!
 //! Time cannot step back and there is no index.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
-use anyhow::Context;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
-use super::{EventWriter, Skipped, create_file};
+use super::output::Output;
+use super::{EventWriter, Skipped};
 
 /// First bytes of every Event Stream file.
 pub const MAGIC: &[u8] = b"Event Stream";
@@ -286,8 +284,7 @@ impl Decode for EsDecoder {
 
 /// Writer of Event Stream files of DVS events.
 pub struct EsWriter {
-    file: BufWriter<File>,
-    name: String,
+    file: Output,
     sensor: Sensor,
     t_us: u64,
     events: u64,
@@ -299,34 +296,27 @@ impl EsWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
+        let file = Output::create(path)?;
         let mut writer = Self {
             file,
-            name,
             sensor,
             t_us: 0,
             events: 0,
         };
-        writer.put(MAGIC)?;
-        writer.put(&VERSION)?;
-        writer.put(&[1])?;
-        writer.put(&sensor.width.to_le_bytes())?;
-        writer.put(&sensor.height.to_le_bytes())?;
+        writer.file.put(MAGIC)?;
+        writer.file.put(&VERSION)?;
+        writer.file.put(&[1])?;
+        writer.file.put(&sensor.width.to_le_bytes())?;
+        writer.file.put(&sensor.height.to_le_bytes())?;
         Ok(writer)
-    }
-
-    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
-        self.file
-            .write_all(bytes)
-            .with_context(|| format!("{}: cannot be written", self.name))
     }
 }
 
 impl EventWriter for EsWriter {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         for event in events {
-            super::check_inside(&self.name, self.events, event, self.sensor)?;
-            let (name, index, t_us) = (&self.name, self.events, event.t_us);
+            super::check_inside(self.file.name(), self.events, event, self.sensor)?;
+            let (name, index, t_us) = (self.file.name(), self.events, event.t_us);
             let Some(step_us) = t_us.checked_sub(self.t_us) else {
                 anyhow::bail!(
                     "{name}: event {index}: time {t_us} us is before {} us, and times cannot step \
@@ -340,14 +330,14 @@ impl EventWriter for EsWriter {
                  Event Stream: write .aedat4"
             );
             for _ in 0..step_us / DVS_OVERFLOW_US {
-                self.put(&[0xff])?;
+                self.file.put(&[0xff])?;
             }
             // Below 127.
             let rest = (step_us % DVS_OVERFLOW_US) as u8;
             let [x0, x1] = event.x.to_le_bytes();
             let [y0, y1] = (self.sensor.height - 1 - event.y).to_le_bytes();
             let on = u8::from(event.polarity == Polarity::On);
-            self.put(&[rest << 1 | on, x0, x1, y0, y1])?;
+            self.file.put(&[rest << 1 | on, x0, x1, y0, y1])?;
             self.t_us = t_us;
             self.events += 1;
         }
@@ -355,9 +345,7 @@ impl EventWriter for EsWriter {
     }
 
     fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
-        self.file
-            .flush()
-            .with_context(|| format!("{}: cannot be written", self.name))
+        self.file.finish()
     }
 }
 

@@ -14,7 +14,7 @@
 //! All numbers are little-endian, checksums XXH32. Definition: "LZ4 Frame Format Description" 1.6.
 //!
 //! The decoder of frames in `lz4_flex` zeroes a buffer of the largest block's size for every frame and copies
-//! what it decodes out of it; a packet of a few hundred events takes ten times as long so. Here its decoder
+//! what it decodes out of it, which takes longer than the few hundred events of a packet. Here its decoder
 //! of blocks writes where the content is wanted. What this does not take, damaged frames above all, is decoded
 //! by `lz4_flex`, so that the outcome and the message are its own.
 

@@ -34,6 +34,7 @@ mod npy_header;
 pub mod npz;
 mod npz_layout;
 mod npz_writer;
+mod output;
 pub mod parquet;
 pub mod raw_header;
 mod raw_row;

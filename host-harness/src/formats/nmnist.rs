@@ -16,8 +16,6 @@
 //! event fits, as not every digit reaches the border; else the largest x and y, plus one, as in `eventvision.py`. Nothing marks the format but the name's ending. There is no index, and a time is the
 //! sum of what stands before it, so that the reader does not seek.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::Context;
@@ -25,7 +23,9 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
-use super::{EventWriter, Skipped, check_inside, create_file};
+use super::output::Output;
+use super::{EventWriter, Skipped, check_inside};
+use crate::fit::beyond;
 
 /// Row of what lets time pass.
 const OVERFLOW_Y: u8 = 240;
@@ -161,8 +161,7 @@ impl Decode for NmnistDecoder {
 
 /// Writer of `.bin` files; no 240 is written, which not every reader knows, so times end with their 23 bits.
 pub struct NmnistWriter {
-    file: BufWriter<File>,
-    name: String,
+    file: Output,
     sensor: Sensor,
     events: u64,
 }
@@ -173,10 +172,9 @@ impl NmnistWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
+        let file = Output::create(path)?;
         Ok(Self {
             file,
-            name,
             sensor,
             events: 0,
         })
@@ -199,27 +197,19 @@ impl NmnistWriter {
 impl EventWriter for NmnistWriter {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         for event in events {
-            check_inside(&self.name, self.events, event, self.sensor)?;
+            check_inside(self.file.name(), self.events, event, self.sensor)?;
             let record = Self::record(event).with_context(|| {
-                let Event { t_us, x, y, .. } = event;
-                format!(
-                    "{}: event {} at time {t_us} us, x = {x}, y = {y}: .bin ends at 8388607 us, column 255 and \
-                     row 239: write .aedat4",
-                    self.name, self.events
-                )
+                let what = beyond(FORMAT.limits, self.events, *event, None).unwrap_or_default();
+                format!("{}: {what}: write .aedat4", self.file.name())
             })?;
-            self.file
-                .write_all(&record)
-                .with_context(|| format!("{}: cannot be written", self.name))?;
+            self.file.put(&record)?;
             self.events += 1;
         }
         Ok(())
     }
 
     fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
-        self.file
-            .flush()
-            .with_context(|| format!("{}: cannot be written", self.name))
+        self.file.finish()
     }
 }
 

@@ -1,13 +1,11 @@
 //! What the writers of Prophesee RAW files share: header, upper bits of time, checks.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
-use super::create_file;
+use super::output::Output;
 use super::raw_header::{RawHeader, Words};
 use super::wrapping::Wrapping;
 
@@ -17,8 +15,7 @@ use super::wrapping::Wrapping;
 /// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
 /// `% time_base_us` carries what exceeds a word's bits, and other readers lose only that.
 pub struct RawWriter {
-    file: BufWriter<File>,
-    name: String,
+    file: Output,
     sensor: Sensor,
     words: Words,
     high_bits: u32,
@@ -39,10 +36,9 @@ impl RawWriter {
         words: Words,
         (high_bits, low_bits): (u32, u32),
     ) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
+        let file = Output::create(path)?;
         Ok(Self {
             file,
-            name,
             sensor,
             words,
             high_bits,
@@ -62,9 +58,7 @@ impl RawWriter {
     /// # Errors
     /// I/O.
     pub fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
-        self.file
-            .write_all(bytes)
-            .with_context(|| format!("{}: cannot be written", self.name))
+        self.file.put(bytes)
     }
 
     /// Takes the next events, which are of one time: checks that they lie on the sensor, and writes
@@ -82,7 +76,7 @@ impl RawWriter {
             return Ok(false);
         };
         for (event, index) in events.iter().zip(self.events..) {
-            super::check_inside(&self.name, index, event, self.sensor)?;
+            super::check_inside(self.file.name(), index, event, self.sensor)?;
         }
         let mut high = match self.high.take() {
             Some(high) => high,
@@ -111,7 +105,7 @@ impl RawWriter {
     }
 
     fn refused(&self, t_us: u64) -> String {
-        super::time_refused(&self.name, self.events, t_us, self.words.title())
+        super::time_refused(self.file.name(), self.events, t_us, self.words.title())
     }
 
     /// Writes the header of a file without events, and all that is not on the disk yet.
@@ -122,8 +116,6 @@ impl RawWriter {
         if self.events == 0 {
             self.header(0)?;
         }
-        self.file
-            .flush()
-            .with_context(|| format!("{}: cannot be written", self.name))
+        self.file.finish()
     }
 }

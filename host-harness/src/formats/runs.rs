@@ -1,7 +1,7 @@
 //! Runs of words of a few frequent types, decoded without a branch for each word.
 //!
 //! A camera's words of time, row and column follow each other as the scene has it, which no processor
-//! foretells; a mispredicted branch takes longer than ten words. So a decoder tells first which words of a run
+//! foretells; a mispredicted branch takes longer than many words. So a decoder tells first which words of a run
 //! are plain, several in one instruction, then takes these one by one: each writes an event where the next one
 //! belongs, and only a word that is one moves that place on. What is not plain goes the way with branches, where
 //! everything is checked and counted.

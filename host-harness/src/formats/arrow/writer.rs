@@ -1,16 +1,15 @@
 //! Writer of Arrow's IPC format: t (int64, us), x, y (uint16), p (uint8, 0 or 1), uncompressed, so that
 //! readers can map the file; `width` and `height` are keys of the schema's metadata.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
 use super::{CONTINUATION, MAGIC};
+use crate::formats::EventWriter;
 use crate::formats::flatbuffer_writer::{Value, buffer};
-use crate::formats::{EventWriter, create_file};
+use crate::formats::output::Output;
 
 /// Rows of a record batch, as pyarrow's.
 const BATCH_ROWS: usize = 1 << 16;
@@ -36,11 +35,9 @@ pub const STREAM_ENDING: &str = ".arrows";
 
 /// Writer of Arrow files. It holds a batch, and 24 bytes for every batch written.
 pub struct ArrowWriter {
-    file: BufWriter<File>,
-    name: String,
+    file: Output,
     sensor: Sensor,
     is_stream: bool,
-    position: u64,
     columns: [Vec<u8>; 4],
     rows: usize,
     /// Offset, bytes of the metadata and of the body of every batch, as the footer has them.
@@ -54,55 +51,44 @@ impl ArrowWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
-        let is_stream = name.to_ascii_lowercase().ends_with(STREAM_ENDING);
+        let file = Output::create(path)?;
+        let is_stream = file.name().to_ascii_lowercase().ends_with(STREAM_ENDING);
         let mut writer = Self {
             file,
-            name,
             sensor,
             is_stream,
-            position: 0,
             columns: [const { Vec::new() }; 4],
             rows: 0,
             blocks: Vec::new(),
             events: 0,
         };
-        writer.begin().with_context(|| writer.failed())?;
+        writer.begin()?;
         Ok(writer)
     }
 
-    fn failed(&self) -> String {
-        format!("{}: cannot be written", self.name)
-    }
-
-    fn put(&mut self, bytes: &[u8]) -> std::io::Result<()> {
-        self.position += bytes.len() as u64;
-        self.file.write_all(bytes)
-    }
-
-    fn begin(&mut self) -> std::io::Result<()> {
+    fn begin(&mut self) -> anyhow::Result<()> {
         if !self.is_stream {
-            self.put(&[MAGIC, &[0, 0]].concat())?;
+            self.file.put(&[MAGIC, &[0, 0]].concat())?;
         }
         self.message(SCHEMA, schema(self.sensor), 0).map(drop)
     }
 
     /// Writes a message's metadata; returns its bytes.
-    fn message(&mut self, kind: u8, header: Value, body: u64) -> std::io::Result<u32> {
+    fn message(&mut self, kind: u8, header: Value, body: u64) -> anyhow::Result<u32> {
         let message = buffer(&Value::Table(vec![
             (0, Value::i16(VERSION)),
             (1, Value::u8(kind)),
             (2, header),
             (3, Value::i64(body as i64)),
         ]));
-        self.put(&CONTINUATION)?;
-        self.put(&(message.len() as u32).to_le_bytes())?;
-        self.put(&message)?;
+        self.file.put(&CONTINUATION)?;
+        self.file.put(&(message.len() as u32).to_le_bytes())?;
+        self.file.put(&message)?;
         Ok(message.len() as u32 + 8)
     }
 
     /// Writes the rows that wait.
-    fn write_batch(&mut self) -> std::io::Result<()> {
+    fn write_batch(&mut self) -> anyhow::Result<()> {
         if self.rows == 0 {
             return Ok(());
         }
@@ -119,7 +105,7 @@ impl ArrowWriter {
             (1, Value::Structs(4, nodes)),
             (2, Value::Structs(8, buffers)),
         ]);
-        let start = self.position;
+        let start = self.file.position();
         let metadata = self.message(RECORD_BATCH, header, body)?;
         self.blocks.extend(start.to_le_bytes());
         self.blocks.extend(u64::from(metadata).to_le_bytes());
@@ -127,7 +113,7 @@ impl ArrowWriter {
         let mut columns = std::mem::take(&mut self.columns);
         for column in &mut columns {
             column.resize(column.len().next_multiple_of(8), 0);
-            self.put(column)?;
+            self.file.put(column)?;
             column.clear();
         }
         self.columns = columns;
@@ -135,10 +121,10 @@ impl ArrowWriter {
         Ok(())
     }
 
-    fn close(&mut self) -> std::io::Result<()> {
+    fn close(&mut self) -> anyhow::Result<()> {
         self.write_batch()?;
-        self.put(&CONTINUATION)?;
-        self.put(&[0; 4])?;
+        self.file.put(&CONTINUATION)?;
+        self.file.put(&[0; 4])?;
         if !self.is_stream {
             let count = (self.blocks.len() / 24) as u32;
             let footer = buffer(&Value::Table(vec![
@@ -147,19 +133,19 @@ impl ArrowWriter {
                 (2, Value::Structs(0, Vec::new())),
                 (3, Value::Structs(count, std::mem::take(&mut self.blocks))),
             ]));
-            self.put(&footer)?;
-            self.put(&(footer.len() as u32).to_le_bytes())?;
-            self.put(MAGIC)?;
+            self.file.put(&footer)?;
+            self.file.put(&(footer.len() as u32).to_le_bytes())?;
+            self.file.put(MAGIC)?;
         }
-        self.file.flush()
+        self.file.finish()
     }
 }
 
 impl EventWriter for ArrowWriter {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         for event in events {
-            crate::formats::check_inside(&self.name, self.events, event, self.sensor)?;
-            let (name, index, t_us) = (&self.name, self.events, event.t_us);
+            crate::formats::check_inside(self.file.name(), self.events, event, self.sensor)?;
+            let (name, index, t_us) = (self.file.name(), self.events, event.t_us);
             let time = i64::try_from(t_us).ok().with_context(|| {
                 format!("{name}: event {index}: time {t_us} us is above 2^63 us")
             })?;
@@ -171,14 +157,14 @@ impl EventWriter for ArrowWriter {
             self.rows += 1;
             self.events += 1;
             if self.rows == BATCH_ROWS {
-                self.write_batch().with_context(|| self.failed())?;
+                self.write_batch()?;
             }
         }
         Ok(())
     }
 
     fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
-        self.close().with_context(|| self.failed())
+        self.close()
     }
 }
 

@@ -3,8 +3,6 @@
 //!
 //! Differences take some 4 bytes an event without any compression, and every reader knows them.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::Context;
@@ -13,7 +11,8 @@ use eecvs_nostd::{Event, Sensor};
 use super::MAGIC;
 use super::thrift::{BINARY, I32, STRUCT, Struct, put_integer, put_varint};
 use super::values::{DELTA, PLAIN, RLE, deltas};
-use crate::formats::{EventWriter, create_file};
+use crate::formats::EventWriter;
+use crate::formats::output::Output;
 
 /// Rows of a row group, and of its only page of a column.
 const GROUP_ROWS: usize = 1 << 17;
@@ -31,10 +30,8 @@ const COLUMNS: [(&str, i32); 4] = [("t", INT64), ("x", INT32), ("y", INT32), ("p
 
 /// Writer of Parquet files. It holds a row group, and some 400 bytes for every one written.
 pub struct ParquetWriter {
-    file: BufWriter<File>,
-    name: String,
+    file: Output,
     sensor: Sensor,
-    position: u64,
     /// t, x, y.
     columns: [Vec<i64>; 3],
     polarities: Vec<bool>,
@@ -48,31 +45,20 @@ impl ParquetWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
+        let file = Output::create(path)?;
         let mut writer = Self {
             file,
-            name,
             sensor,
-            position: 0,
             columns: [const { Vec::new() }; 3],
             polarities: Vec::new(),
             groups: Vec::new(),
             events: 0,
         };
-        writer.put(MAGIC).with_context(|| writer.failed())?;
+        writer.file.put(MAGIC)?;
         Ok(writer)
     }
 
-    fn failed(&self) -> String {
-        format!("{}: cannot be written", self.name)
-    }
-
-    fn put(&mut self, bytes: &[u8]) -> std::io::Result<()> {
-        self.position += bytes.len() as u64;
-        self.file.write_all(bytes)
-    }
-
-    fn write_group(&mut self) -> std::io::Result<()> {
+    fn write_group(&mut self) -> anyhow::Result<()> {
         let rows = self.polarities.len();
         if rows == 0 {
             return Ok(());
@@ -92,7 +78,7 @@ impl ParquetWriter {
             ends(&self.columns[2]),
             None,
         ];
-        let start = self.position;
+        let start = self.file.position();
         let mut chunks = Vec::new();
         for (((name, of), page), ends) in COLUMNS.into_iter().zip(pages).zip(ends) {
             let encoding = if of == BOOLEAN { PLAIN } else { DELTA } as i32;
@@ -105,10 +91,10 @@ impl ParquetWriter {
             let bytes = page.len() as i32;
             let header = Struct::default().i32(1, 0).i32(2, bytes).i32(3, bytes);
             let header = header.inner(5, values).finish();
-            let at = self.position;
-            self.put(&header)?;
-            self.put(&page)?;
-            let all = (self.position - at) as i64;
+            let at = self.file.position();
+            self.file.put(&header)?;
+            self.file.put(&page)?;
+            let all = (self.file.position() - at) as i64;
             let mut statistics = Struct::default().i64(3, 0);
             if let Some((least, most)) = ends {
                 let size = if of == INT64 { 8 } else { 4 };
@@ -139,7 +125,7 @@ impl ParquetWriter {
                     .finish(),
             );
         }
-        let bytes = (self.position - start) as i64;
+        let bytes = (self.file.position() - start) as i64;
         let group = Struct::default()
             .list(1, STRUCT, &chunks)
             .i64(2, bytes)
@@ -152,7 +138,7 @@ impl ParquetWriter {
         Ok(())
     }
 
-    fn close(&mut self) -> std::io::Result<()> {
+    fn close(&mut self) -> anyhow::Result<()> {
         self.write_group()?;
         let root = Struct::default().binary(4, b"schema").i32(5, 4).finish();
         let fields = COLUMNS.map(|(name, of)| {
@@ -188,10 +174,10 @@ impl ParquetWriter {
             .binary(6, concat!("eecvs ", env!("CARGO_PKG_VERSION")).as_bytes())
             .list(7, STRUCT, &COLUMNS.map(|_| order()))
             .finish();
-        self.put(&footer)?;
-        self.put(&(footer.len() as u32).to_le_bytes())?;
-        self.put(MAGIC)?;
-        self.file.flush()
+        self.file.put(&footer)?;
+        self.file.put(&(footer.len() as u32).to_le_bytes())?;
+        self.file.put(MAGIC)?;
+        self.file.finish()
     }
 }
 
@@ -206,8 +192,8 @@ fn text(text: &str) -> Vec<u8> {
 impl EventWriter for ParquetWriter {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         for event in events {
-            crate::formats::check_inside(&self.name, self.events, event, self.sensor)?;
-            let (name, index, t_us) = (&self.name, self.events, event.t_us);
+            crate::formats::check_inside(self.file.name(), self.events, event, self.sensor)?;
+            let (name, index, t_us) = (self.file.name(), self.events, event.t_us);
             let time = i64::try_from(t_us).ok().with_context(|| {
                 format!("{name}: event {index}: time {t_us} us is above 2^63 us")
             })?;
@@ -218,13 +204,13 @@ impl EventWriter for ParquetWriter {
             self.polarities.push(event.polarity as u8 == 1);
             self.events += 1;
             if self.polarities.len() == GROUP_ROWS {
-                self.write_group().with_context(|| self.failed())?;
+                self.write_group()?;
             }
         }
         Ok(())
     }
 
     fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
-        self.close().with_context(|| self.failed())
+        self.close()
     }
 }

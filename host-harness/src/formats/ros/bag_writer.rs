@@ -5,17 +5,16 @@
 //! followed while it is written. The bag's header is written again at the end: until then it names no
 //! index, which tells that the bag was not closed.
 
-use std::fs::File;
-use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use anyhow::Context;
-use eecvs_nostd::{Event, Sensor};
+use eecvs_nostd::Sensor;
 
 use super::bag::{BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION, INDEX, MAGIC, MESSAGE};
 use super::fields::Serialisation;
-use super::packets::{DEFINITION_ROS1, MD5_ROS1, Message, Packets, TOPIC};
-use crate::formats::{EventWriter, create_file};
+use super::packets::{
+    DEFINITION_ROS1, MD5_ROS1, Message, MessageFile, PacketWriter, Packets, TOPIC,
+};
+use crate::formats::output::Output;
 
 /// A chunk is closed once it has so many bytes: `rosbag record`'s own size.
 const CHUNK_BYTES: usize = 768 << 10;
@@ -29,10 +28,7 @@ const CONNECTION_ID: u32 = 0;
 /// Writer of bags of ROS 1, one topic of `event_camera_msgs/EventPacket`.
 ///
 /// Events of any order, with times up to what a stamp of ROS 1 holds.
-pub struct BagWriter {
-    packets: Packets,
-    file: Records,
-}
+pub type BagWriter = PacketWriter<Records>;
 
 impl BagWriter {
     /// Creates the file.
@@ -40,33 +36,18 @@ impl BagWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
-        let packets = Packets::new(&name, sensor, Serialisation::Ros1);
+        let file = Output::create(path)?;
+        let packets = Packets::new(file.name(), sensor, Serialisation::Ros1);
         let mut file = Records {
             file,
-            name,
-            at: 0,
             chunk: Vec::new(),
             messages: Vec::new(),
             chunks: Vec::new(),
         };
-        file.put(MAGIC)?;
-        file.put(&bag_header(0, 0))?;
+        file.file.put(MAGIC)?;
+        file.file.put(&bag_header(0, 0))?;
         file.chunk = connection();
-        Ok(Self { packets, file })
-    }
-}
-
-impl EventWriter for BagWriter {
-    fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
-        let file = &mut self.file;
-        self.packets.write(events, |message| file.message(message))
-    }
-
-    fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
-        let file = &mut self.file;
-        self.packets.finish(|message| file.message(message))?;
-        self.file.finish()
+        Ok(Self::new(packets, file))
     }
 }
 
@@ -140,25 +121,15 @@ struct Placed {
 }
 
 /// The records of the file.
-struct Records {
-    file: BufWriter<File>,
-    name: String,
-    /// Bytes written.
-    at: u64,
+pub struct Records {
+    file: Output,
     chunk: Vec<u8>,
     /// Time and position in the chunk of each message.
     messages: Vec<(u64, u32)>,
     chunks: Vec<Placed>,
 }
 
-impl Records {
-    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
-        let written = self.file.write_all(bytes);
-        written.with_context(|| format!("{}: cannot be written", self.name))?;
-        self.at += bytes.len() as u64;
-        Ok(())
-    }
-
+impl MessageFile for Records {
     fn message(&mut self, message: &Message) -> anyhow::Result<()> {
         // A chunk ends long before 2^32 bytes.
         let at = self.chunk.len() as u32;
@@ -175,9 +146,36 @@ impl Records {
         Ok(())
     }
 
+    /// Writes the last chunk, what is in each, and the bag's header again.
+    fn finish(mut self) -> anyhow::Result<()> {
+        if !self.messages.is_empty() {
+            self.close()?;
+        }
+        let index = self.file.position();
+        self.file.put(&connection())?;
+        let chunks = std::mem::take(&mut self.chunks);
+        for chunk in &chunks {
+            let fields: [(&str, &[u8]); 6] = [
+                ("op", &[CHUNK_INFO]),
+                ("ver", &1_u32.to_le_bytes()),
+                ("chunk_pos", &chunk.offset.to_le_bytes()),
+                ("start_time", &time(chunk.first_ns)),
+                ("end_time", &time(chunk.last_ns)),
+                ("count", &1_u32.to_le_bytes()),
+            ];
+            let counts = [CONNECTION_ID.to_le_bytes(), chunk.messages.to_le_bytes()];
+            self.file.put(&record(&fields, &counts.concat()))?;
+        }
+        let header = bag_header(index, chunks.len() as u32);
+        self.file.put_at(MAGIC.len() as u64, &header)?;
+        self.file.finish()
+    }
+}
+
+impl Records {
     /// Writes the chunk and the index of its messages.
     fn close(&mut self) -> anyhow::Result<()> {
-        let offset = self.at;
+        let offset = self.file.position();
         let bytes = std::mem::take(&mut self.chunk);
         let length = bytes.len() as u32;
         let fields: [(&str, &[u8]); 3] = [
@@ -185,7 +183,7 @@ impl Records {
             ("compression", b"none"),
             ("size", &length.to_le_bytes()),
         ];
-        self.put(&record(&fields, &bytes))?;
+        self.file.put(&record(&fields, &bytes))?;
         let messages = std::mem::take(&mut self.messages);
         let count = messages.len() as u32;
         let index: Vec<u8> = messages
@@ -198,7 +196,7 @@ impl Records {
             ("conn", &CONNECTION_ID.to_le_bytes()),
             ("count", &count.to_le_bytes()),
         ];
-        self.put(&record(&fields, &index))?;
+        self.file.put(&record(&fields, &index))?;
         // Times do not fall.
         self.chunks.push(Placed {
             offset,
@@ -207,34 +205,5 @@ impl Records {
             messages: count,
         });
         Ok(())
-    }
-
-    /// Writes the last chunk, what is in each, and the bag's header again.
-    fn finish(mut self) -> anyhow::Result<()> {
-        if !self.messages.is_empty() {
-            self.close()?;
-        }
-        let index = self.at;
-        self.put(&connection())?;
-        let chunks = std::mem::take(&mut self.chunks);
-        for chunk in &chunks {
-            let fields: [(&str, &[u8]); 6] = [
-                ("op", &[CHUNK_INFO]),
-                ("ver", &1_u32.to_le_bytes()),
-                ("chunk_pos", &chunk.offset.to_le_bytes()),
-                ("start_time", &time(chunk.first_ns)),
-                ("end_time", &time(chunk.last_ns)),
-                ("count", &1_u32.to_le_bytes()),
-            ];
-            let counts = [CONNECTION_ID.to_le_bytes(), chunk.messages.to_le_bytes()];
-            self.put(&record(&fields, &counts.concat()))?;
-        }
-        let context = || format!("{}: cannot be written", self.name);
-        let start = MAGIC.len() as u64;
-        let sought = self.file.seek(SeekFrom::Start(start));
-        sought.with_context(context)?;
-        let header = bag_header(index, chunks.len() as u32);
-        self.file.write_all(&header).with_context(context)?;
-        self.file.flush().with_context(context)
     }
 }

@@ -9,13 +9,12 @@
 //! | offsets of the summary's groups | |
 //! | footer, magic | where the summary is, and its CRC-32 |
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
 use anyhow::Context;
 use crc::{CRC_32_ISO_HDLC, Crc, Digest, Table};
-use eecvs_nostd::{Event, Sensor};
+use eecvs_nostd::Sensor;
 use lz4_flex::frame::{BlockSize, FrameEncoder, FrameInfo};
 
 use super::fields::Serialisation;
@@ -23,8 +22,8 @@ use super::mcap::{
     CHANNEL, CHUNK, CHUNK_INDEX, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, MESSAGE_INDEX, SCHEMA,
     STATISTICS, SUMMARY_OFFSET,
 };
-use super::packets::{DEFINITION_ROS2, Message, Packets, TOPIC};
-use crate::formats::{EventWriter, create_file};
+use super::packets::{DEFINITION_ROS2, Message, MessageFile, PacketWriter, Packets, TOPIC};
+use crate::formats::output::Output;
 
 /// The CRC-32 of zip files and Ethernet, which MCAP has chosen.
 static CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
@@ -39,10 +38,7 @@ const CHANNEL_ID: u16 = 0;
 /// Writer of MCAP files, one topic of `event_camera_msgs/EventPacket`.
 ///
 /// Events of any order, with times up to what a stamp of ROS 2 holds.
-pub struct McapWriter {
-    packets: Packets,
-    file: Records,
-}
+pub type McapWriter = PacketWriter<Records>;
 
 impl McapWriter {
     /// Creates the file.
@@ -50,12 +46,10 @@ impl McapWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (file, name) = create_file(path)?;
-        let packets = Packets::new(&name, sensor, Serialisation::Cdr);
+        let file = Output::create(path)?;
+        let packets = Packets::new(file.name(), sensor, Serialisation::Cdr);
         let mut file = Records {
             file,
-            name,
-            at: 0,
             crc: CRC.digest(),
             chunk: Chunk::default(),
             chunks: Vec::new(),
@@ -67,20 +61,7 @@ impl McapWriter {
         string(&mut header, concat!("eecvs ", env!("CARGO_PKG_VERSION")));
         file.record(HEADER, &header)?;
         describe(&mut file.chunk.bytes);
-        Ok(Self { packets, file })
-    }
-}
-
-impl EventWriter for McapWriter {
-    fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
-        let file = &mut self.file;
-        self.packets.write(events, |message| file.message(message))
-    }
-
-    fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
-        let file = &mut self.file;
-        self.packets.finish(|message| file.message(message))?;
-        self.file.finish()
+        Ok(Self::new(packets, file))
     }
 }
 
@@ -143,33 +124,15 @@ struct Placed {
 }
 
 /// The records of the file.
-struct Records {
-    file: BufWriter<File>,
-    name: String,
-    /// Bytes written.
-    at: u64,
+pub struct Records {
+    file: Output,
     crc: Digest<'static, u32, Table<16>>,
     chunk: Chunk,
     chunks: Vec<Placed>,
     messages: u64,
 }
 
-impl Records {
-    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
-        let written = self.file.write_all(bytes);
-        written.with_context(|| format!("{}: cannot be written", self.name))?;
-        self.crc.update(bytes);
-        self.at += bytes.len() as u64;
-        Ok(())
-    }
-
-    fn record(&mut self, opcode: u8, content: &[u8]) -> anyhow::Result<()> {
-        let mut head = vec![opcode];
-        head.extend_from_slice(&(content.len() as u64).to_le_bytes());
-        self.put(&head)?;
-        self.put(content)
-    }
-
+impl MessageFile for Records {
     fn message(&mut self, message: &Message) -> anyhow::Result<()> {
         let Chunk { bytes, messages } = &mut self.chunk;
         messages.push((message.time_ns, bytes.len() as u64));
@@ -188,53 +151,6 @@ impl Records {
         Ok(())
     }
 
-    /// Writes the chunk and the index of its messages.
-    fn close(&mut self) -> anyhow::Result<()> {
-        let Chunk { bytes, messages } = std::mem::take(&mut self.chunk);
-        // Times do not fall.
-        let first_ns = messages.first().map_or(0, |(time_ns, _)| *time_ns);
-        let last_ns = messages.last().map_or(0, |(time_ns, _)| *time_ns);
-        // Of a chunk that was cut off, the blocks before can be read.
-        let info = FrameInfo::new()
-            .block_size(BlockSize::Max64KB)
-            .content_size(Some(bytes.len() as u64));
-        let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
-        let packed = encoder
-            .write_all(&bytes)
-            .map_err(lz4_flex::frame::Error::from)
-            .and_then(|()| encoder.finish())
-            .with_context(|| format!("{}: a chunk cannot be compressed", self.name))?;
-        let mut content = Vec::new();
-        for number in [first_ns, last_ns, bytes.len() as u64] {
-            content.extend_from_slice(&number.to_le_bytes());
-        }
-        content.extend_from_slice(&CRC.checksum(&bytes).to_le_bytes());
-        string(&mut content, "lz4");
-        content.extend_from_slice(&(packed.len() as u64).to_le_bytes());
-        content.extend_from_slice(&packed);
-        let offset = self.at;
-        self.record(CHUNK, &content)?;
-        let index = self.at;
-        let mut content = CHANNEL_ID.to_le_bytes().to_vec();
-        content.extend_from_slice(&(messages.len() as u32 * 16).to_le_bytes());
-        for (time_ns, at) in &messages {
-            content.extend_from_slice(&time_ns.to_le_bytes());
-            content.extend_from_slice(&at.to_le_bytes());
-        }
-        self.record(MESSAGE_INDEX, &content)?;
-        self.chunks.push(Placed {
-            first_ns,
-            last_ns,
-            offset,
-            length: index - offset,
-            index,
-            index_length: self.at - index,
-            packed: packed.len() as u64,
-            size: bytes.len() as u64,
-        });
-        Ok(())
-    }
-
     /// Writes the last chunk and the summary.
     fn finish(mut self) -> anyhow::Result<()> {
         if !self.chunk.messages.is_empty() {
@@ -242,7 +158,7 @@ impl Records {
         }
         let crc = std::mem::replace(&mut self.crc, CRC.digest()).finalize();
         self.record(DATA_END, &crc.to_le_bytes())?;
-        let start = self.at;
+        let start = self.file.position();
         self.crc = CRC.digest();
         // Each group's first byte and number of bytes are told behind them.
         let mut groups = Vec::new();
@@ -255,13 +171,13 @@ impl Records {
                 self.chunks.iter().map(Placed::content).collect(),
             ),
         ] {
-            let begin = self.at;
+            let begin = self.file.position();
             for content in contents {
                 self.record(opcode, &content)?;
             }
-            groups.push((opcode, begin, self.at - begin));
+            groups.push((opcode, begin, self.file.position() - begin));
         }
-        let offsets = self.at;
+        let offsets = self.file.position();
         for (opcode, begin, length) in groups {
             let mut content = vec![opcode];
             content.extend_from_slice(&begin.to_le_bytes());
@@ -277,8 +193,68 @@ impl Records {
         let crc = std::mem::replace(&mut self.crc, CRC.digest()).finalize();
         self.put(&crc.to_le_bytes())?;
         self.put(MAGIC)?;
-        let flushed = self.file.flush();
-        flushed.with_context(|| format!("{}: cannot be written", self.name))
+        self.file.finish()
+    }
+}
+
+impl Records {
+    fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
+        self.crc.update(bytes);
+        self.file.put(bytes)
+    }
+
+    fn record(&mut self, opcode: u8, content: &[u8]) -> anyhow::Result<()> {
+        let mut head = vec![opcode];
+        head.extend_from_slice(&(content.len() as u64).to_le_bytes());
+        self.put(&head)?;
+        self.put(content)
+    }
+
+    /// Writes the chunk and the index of its messages.
+    fn close(&mut self) -> anyhow::Result<()> {
+        let Chunk { bytes, messages } = std::mem::take(&mut self.chunk);
+        // Times do not fall.
+        let first_ns = messages.first().map_or(0, |(time_ns, _)| *time_ns);
+        let last_ns = messages.last().map_or(0, |(time_ns, _)| *time_ns);
+        // Of a chunk that was cut off, the blocks before can be read.
+        let info = FrameInfo::new()
+            .block_size(BlockSize::Max64KB)
+            .content_size(Some(bytes.len() as u64));
+        let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
+        let packed = encoder
+            .write_all(&bytes)
+            .map_err(lz4_flex::frame::Error::from)
+            .and_then(|()| encoder.finish())
+            .with_context(|| format!("{}: a chunk cannot be compressed", self.file.name()))?;
+        let mut content = Vec::new();
+        for number in [first_ns, last_ns, bytes.len() as u64] {
+            content.extend_from_slice(&number.to_le_bytes());
+        }
+        content.extend_from_slice(&CRC.checksum(&bytes).to_le_bytes());
+        string(&mut content, "lz4");
+        content.extend_from_slice(&(packed.len() as u64).to_le_bytes());
+        content.extend_from_slice(&packed);
+        let offset = self.file.position();
+        self.record(CHUNK, &content)?;
+        let index = self.file.position();
+        let mut content = CHANNEL_ID.to_le_bytes().to_vec();
+        content.extend_from_slice(&(messages.len() as u32 * 16).to_le_bytes());
+        for (time_ns, at) in &messages {
+            content.extend_from_slice(&time_ns.to_le_bytes());
+            content.extend_from_slice(&at.to_le_bytes());
+        }
+        self.record(MESSAGE_INDEX, &content)?;
+        self.chunks.push(Placed {
+            first_ns,
+            last_ns,
+            offset,
+            length: index - offset,
+            index,
+            index_length: self.file.position() - index,
+            packed: packed.len() as u64,
+            size: bytes.len() as u64,
+        });
+        Ok(())
     }
 
     fn statistics(&self) -> Vec<u8> {

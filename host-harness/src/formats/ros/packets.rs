@@ -11,7 +11,7 @@
 use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::fields::Serialisation;
-use crate::formats::check_inside;
+use crate::formats::{EventWriter, check_inside};
 
 /// The topic that events are written on: the drivers' own.
 pub const TOPIC: &str = "/event_camera/events";
@@ -80,6 +80,47 @@ pub struct Message {
     pub sequence: u64,
     /// As it is serialised.
     pub bytes: Vec<u8>,
+}
+
+/// A file of messages.
+pub trait MessageFile {
+    /// Takes the next message.
+    ///
+    /// # Errors
+    /// I/O.
+    fn message(&mut self, message: &Message) -> anyhow::Result<()>;
+
+    /// Writes what ends the file.
+    ///
+    /// # Errors
+    /// I/O.
+    fn finish(self) -> anyhow::Result<()>;
+}
+
+/// Writer of events as messages of one topic, in a file that holds such.
+pub struct PacketWriter<F> {
+    packets: Packets,
+    file: F,
+}
+
+impl<F: MessageFile> PacketWriter<F> {
+    /// Packs events for `file`, which has begun.
+    pub(super) const fn new(packets: Packets, file: F) -> Self {
+        Self { packets, file }
+    }
+}
+
+impl<F: MessageFile> EventWriter for PacketWriter<F> {
+    fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
+        let file = &mut self.file;
+        self.packets.write(events, |message| file.message(message))
+    }
+
+    fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
+        let file = &mut self.file;
+        self.packets.finish(|message| file.message(message))?;
+        self.file.finish()
+    }
 }
 
 /// Packs events into messages.
