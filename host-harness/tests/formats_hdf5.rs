@@ -6,27 +6,15 @@ mod support;
 use std::io::Cursor;
 use std::path::Path;
 
-use eecvs_nostd::{Event, Polarity, Sensor};
+use eecvs_nostd::{Event, Sensor};
 use hdf5_writer::{Filter, Node, Storage, Type, file};
 use host_harness::formats::{self, EventReader};
-use support::{drain, read};
+use support::{drain, read, regular as events};
 
 const U8: Type = Type::Integer(1, false, false);
 const U16: Type = Type::Integer(2, false, false);
 const U32: Type = Type::Integer(4, false, false);
 const I64: Type = Type::Integer(8, true, false);
-
-/// Events of whole microseconds from `start_us` on.
-fn events(start_us: u64, count: u32) -> Vec<Event> {
-    (0..count)
-        .map(|i| Event {
-            t_us: start_us + u64::from(i) * 17,
-            x: (i * 7 % 64) as u16,
-            y: (i * 3 % 48) as u16,
-            polarity: Polarity::from_bool(i % 3 == 0),
-        })
-        .collect()
-}
 
 fn column<const N: usize>(events: &[Event], of: impl Fn(&Event) -> [u8; N]) -> Vec<u8> {
     events.iter().flat_map(of).collect()

@@ -4,8 +4,8 @@ mod support;
 
 use std::io::{Cursor, Write};
 
-use eecvs_nostd::{Event, Polarity, Sensor};
-use support::read;
+use eecvs_nostd::{Event, Sensor};
+use support::{read, regular};
 use zip::CompressionMethod::{self, Deflated, Stored};
 
 /// A version `version` array of any type, shape and content.
@@ -33,14 +33,7 @@ fn npz(method: CompressionMethod, arrays: &[(&str, Vec<u8>)]) -> Vec<u8> {
 
 /// Events of whole microseconds.
 fn events(count: u32) -> Vec<Event> {
-    (0..count)
-        .map(|i| Event {
-            t_us: 1_000_000 + u64::from(i) * 17,
-            x: (i * 7 % 64) as u16,
-            y: (i * 3 % 48) as u16,
-            polarity: Polarity::from_bool(i % 3 == 0),
-        })
-        .collect()
+    regular(1_000_000, count)
 }
 
 fn column<const N: usize>(events: &[Event], of: impl Fn(&Event) -> [u8; N]) -> Vec<u8> {

@@ -4,9 +4,9 @@ mod support;
 
 use std::path::Path;
 
-use eecvs_nostd::{Event, Polarity, Sensor};
+use eecvs_nostd::{Event, Sensor};
 use host_harness::formats;
-use support::{drain, read, written};
+use support::{drain, read, regular, written};
 
 const SENSOR: Sensor = Sensor {
     width: 64,
@@ -14,14 +14,7 @@ const SENSOR: Sensor = Sensor {
 };
 
 fn events(count: u32) -> Vec<Event> {
-    (0..count)
-        .map(|i| Event {
-            t_us: 1_000_000 + u64::from(i) * 17,
-            x: (i * 7 % 64) as u16,
-            y: (i * 3 % 48) as u16,
-            polarity: Polarity::from_bool(i % 3 == 0),
-        })
-        .collect()
+    regular(1_000_000, count)
 }
 
 fn seeds(folder: &str) -> Vec<(String, Vec<u8>)> {

@@ -2,10 +2,9 @@
 
     python tests/peers/tables.py EECVS [RECORDING ...]
 
-EECVS is the command. Prints for each check `ok` or `differs`, and exits with 1 on a difference. The events of
-each of the recordings, and random ones, are written by the command and read by the libraries; random ones
-are written by the libraries, in every compression and encoding that is read, and read by the command.
-Prints which libraries are absent, and exits with 77 where all are.
+The events of each of the recordings, and random ones, are written by the command and read by the libraries;
+random ones are written by the libraries, in every compression and encoding that is read, and read by the command.
+comparison.py says what is printed.
 """
 
 import itertools
@@ -14,24 +13,10 @@ import subprocess
 import sys
 import tempfile
 
-try:
-    import numpy as np
-except ImportError:
-    print("absent: numpy")
-    sys.exit(77)
+import comparison
+from comparison import EVENTS, np, package
 
-EVENTS = 100_000
 SIZE = (1280, 720)
-failures = 0
-
-
-def package(name):
-    try:
-        return __import__(name, fromlist=["_"])
-    except ImportError:
-        print(f"absent: {name}")
-        return None
-
 
 h5py = package("h5py")
 hdf5plugin = package("hdf5plugin") if h5py else None
@@ -60,27 +45,25 @@ def events(t, x, y, p):
 
 
 def check(name, got, want):
-    global failures
     if all(len(a) == len(b) and np.array_equal(a, b) for a, b in zip(got, want)):
         print(f"ok       {name}: {len(want[0])} events")
         return
-    failures += 1
+    comparison.failures += 1
     print(f"differs  {name}: {[len(c) for c in got]} and {[len(c) for c in want]} values")
 
 
 def convert(source, path):
-    run = subprocess.run([eecvs, "convert", source, path, "--width", str(SIZE[0]), "--height", str(SIZE[1])],
+    run = subprocess.run([comparison.eecvs, "convert", source, path, "--width", str(SIZE[0]), "--height", str(SIZE[1])],
                          capture_output=True, text=True)
     return run.stderr if run.returncode != 0 else ""
 
 
 def ours(name, path, want):
     """Checks the events of a file as the command reads them."""
-    global failures
     out = folder / "ours.npz"
     error = convert(path, out)
     if error:
-        failures += 1
+        comparison.failures += 1
         print(f"differs  {name}: {error.strip()}")
         return
     with np.load(out) as arrays:
@@ -184,11 +167,22 @@ def parquet_files(want):
             ours(f"pyarrow, Parquet, {name}, {option}", path, want)
 
 
-if len(sys.argv) < 2:
-    sys.exit(__doc__)
-eecvs = sys.argv[1]
-with tempfile.TemporaryDirectory() as temporary:
-    folder = pathlib.Path(temporary)
+def recording(path):
+    global folder
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = pathlib.Path(temporary)
+        source = folder / "recording.npz"
+        error = convert(path, source)
+        if error:
+            sys.exit(error)
+        with np.load(source) as arrays:
+            want = events(*(arrays[c] for c in "txyp"))
+        theirs(path.name, path, want)
+
+
+def made(empty):
+    global folder
+    folder = empty
     want = random_events()
     if h5py:
         hdf5_files(want)
@@ -198,12 +192,7 @@ with tempfile.TemporaryDirectory() as temporary:
     source = folder / "random.npz"
     np.savez(source, **dict(zip("txyp", want)))
     theirs("random events", source, want)
-    for recording in sys.argv[2:]:
-        source = folder / "recording.npz"
-        error = convert(recording, source)
-        if error:
-            sys.exit(error)
-        with np.load(source) as arrays:
-            want = events(*(arrays[c] for c in "txyp"))
-        theirs(pathlib.Path(recording).name, recording, want)
-sys.exit(1 if failures else 0)
+
+
+if __name__ == "__main__":
+    comparison.run(__doc__, recording, made)

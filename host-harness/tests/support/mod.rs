@@ -138,6 +138,19 @@ pub const FORMATS: [(&str, Sensor); 18] = [
     ),
 ];
 
+/// Events as those in the seeds of `fuzz/seeds/*.py`: 17 us apart from `start_us` on, on 64 x 48 pixels.
+#[allow(dead_code, reason = "not every test file wants these")]
+pub fn regular(start_us: u64, count: u32) -> Vec<Event> {
+    (0..count)
+        .map(|i| Event {
+            t_us: start_us + u64::from(i) * 17,
+            x: (i * 7 % 64) as u16,
+            y: (i * 3 % 48) as u16,
+            polarity: Polarity::from_bool(i % 3 == 0),
+        })
+        .collect()
+}
+
 /// Events that begin at any time, with duplicates, equal times, small steps back, both
 /// polarities, rows of neighbours, and gaps that make short time fields wrap.
 #[allow(dead_code, reason = "not every test file generates events")]
