@@ -281,6 +281,28 @@ fn cut_in_a_packet(connect: Connect<'_>) {
 
 /// An encoder that cannot wait loses events, and says how many.
 fn flood(connect: Connect<'_>) {
+    // Thrice a window that keeps the encoder busy, and then windows of one event each: more of them than
+    // it has room for come in that time, however slow the link.
+    let scene = &events()[..5_000];
+    let window_us = u64::from(config().window.window_us);
+    let mut many = Vec::new();
+    let mut start_us = SCENE.start_us - SCENE.start_us % window_us;
+    for _ in 0..3 {
+        let busy = (0..).zip(scene).map(|(index, event)| Event {
+            t_us: start_us + index * 3,
+            ..*event
+        });
+        many.extend(busy);
+        let lone = (1..=64).zip(scene).map(|(window, event)| Event {
+            t_us: start_us + window * window_us,
+            ..*event
+        });
+        many.extend(lone);
+        start_us += 65 * window_us;
+    }
+    let open = || -> Result<Box<dyn EventReader>> {
+        Ok(Box::new(Recording(many.clone(), Default::default())))
+    };
     let job = Job {
         open: &open,
         // As slow as it gets, to compute and to send.
@@ -298,6 +320,7 @@ fn flood(connect: Connect<'_>) {
     let flooded = mcu::run(&mut connection, &job, &|_| ()).expect("a run");
     drop((connection, link));
     flooded.verdict().expect("whole frames");
+    assert_eq!(flooded.events, many.len() as u64);
     assert_eq!(
         flooded.events_encoded + flooded.events_late + flooded.events_lost,
         flooded.events
