@@ -96,6 +96,11 @@ fn ros_bags() {
 }
 
 #[test]
+fn mat() {
+    compare("mat.py", &["davis346_building_dense/davis.aedat4"]);
+}
+
+#[test]
 fn tables() {
     compare("tables.py", &["davis346_building_dense/davis.aedat4"]);
 }

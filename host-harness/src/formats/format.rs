@@ -10,7 +10,7 @@ use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
 use super::{
     EventReader, EventWriter, aedat2, aedat4, arrow, dat, es, evt2, evt3, evt4, evt21, frames,
-    hdf5, nmnist, npz, parquet, ros, text,
+    hdf5, mat, nmnist, npz, parquet, ros, text,
 };
 
 /// Bytes that a format is told by.
@@ -29,6 +29,7 @@ pub const FORMATS: &[Format] = &[
     es::FORMAT,
     hdf5::FORMAT,
     npz::FORMAT,
+    mat::FORMAT,
     arrow::FORMAT,
     parquet::FORMAT,
     ros::bag::FORMAT,

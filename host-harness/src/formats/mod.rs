@@ -29,6 +29,7 @@ pub mod hdf5;
 pub mod input;
 pub mod intact;
 mod lz4_frame;
+pub mod mat;
 pub mod nmnist;
 mod npy_header;
 pub mod npz;
@@ -63,6 +64,7 @@ pub use arrow::ArrowWriter;
 pub use dat_writer::DatWriter;
 pub use format::{FORMATS, Format, Limits, Opening, Start, create, open, open_source, writable};
 pub use hdf5::Hdf5Writer;
+pub use mat::MatWriter;
 pub use nmnist::NmnistWriter;
 pub use npz_writer::NpzWriter;
 pub use parquet::ParquetWriter;
@@ -159,6 +161,19 @@ fn create_file(path: &Path) -> anyhow::Result<(BufWriter<File>, String)> {
     let name = path.display().to_string();
     let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
     Ok((BufWriter::with_capacity(1 << 16, file), name))
+}
+
+/// Four unnamed temporary files in the folder of `path`, which messages call `name`: columns that wait there
+/// until the last event is known.
+fn columns_beside(path: &Path, name: &str) -> anyhow::Result<[BufWriter<File>; 4]> {
+    let folder = path.parent();
+    let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
+    let column = || {
+        tempfile::tempfile_in(folder.unwrap_or(Path::new(".")))
+            .map(BufWriter::new)
+            .with_context(|| format!("{name}: no temporary file can be created beside it"))
+    };
+    Ok([column()?, column()?, column()?, column()?])
 }
 
 /// Refuses to write event number `index` where it lies outside of the sensor.

@@ -9,7 +9,7 @@ use eecvs_nostd::{Event, Sensor};
 use zip::write::SimpleFileOptions;
 
 use super::npy_header::NpyHeader;
-use super::{EventWriter, create_file};
+use super::{EventWriter, columns_beside, create_file};
 
 /// Fast, and close to numpy's `savez_compressed` on event columns.
 const DEFLATE_LEVEL: i64 = 3;
@@ -44,15 +44,7 @@ impl NpzWriter {
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
         let (file, name) = create_file(path)?;
-        let folder = path
-            .parent()
-            .filter(|folder| !folder.as_os_str().is_empty());
-        let column = || {
-            tempfile::tempfile_in(folder.unwrap_or(Path::new(".")))
-                .map(BufWriter::new)
-                .with_context(|| format!("{name}: no temporary file can be created beside it"))
-        };
-        let columns = [column()?, column()?, column()?, column()?];
+        let columns = columns_beside(path, &name)?;
         Ok(Self {
             file,
             name,

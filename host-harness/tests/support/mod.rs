@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 /// Every extension that can be written, and a sensor that its format can hold.
 #[allow(dead_code, reason = "not every test file writes recordings")]
-pub const FORMATS: [(&str, Sensor); 18] = [
+pub const FORMATS: [(&str, Sensor); 19] = [
     (
         "aedat4",
         Sensor {
@@ -131,6 +131,13 @@ pub const FORMATS: [(&str, Sensor); 18] = [
     ),
     (
         "npz",
+        Sensor {
+            width: 320,
+            height: 240,
+        },
+    ),
+    (
+        "mat",
         Sensor {
             width: 320,
             height: 240,

@@ -1,0 +1,404 @@
+//! Where the events are in a MAT-file, and what their numbers mean.
+
+use anyhow::Context;
+use eecvs_nostd::Sensor;
+
+use super::file::{Array, Content, MatFile, Numbers, Variable};
+use crate::formats::BATCH_EVENTS;
+use crate::formats::event_numbers::{
+    NAMES, SAMPLE_ROWS, SAMPLE_TIMES, T, TimeUnit, column_order, coordinate,
+};
+use crate::formats::npy_header::Number;
+use crate::formats::time_unit::TimeSample;
+
+/// What columns, rows and polarities are counted from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Base {
+    pub pixel: i64,
+    pub polarity: i64,
+}
+
+/// Where the numbers of the events are.
+pub struct Plan {
+    /// t, x, y, p.
+    pub arrays: [Array; 4],
+    /// Number of events.
+    pub events: u64,
+    /// What the times are.
+    pub unit: TimeUnit,
+    /// What the rest is counted from.
+    pub base: Base,
+    /// The sensor's size.
+    pub sensor: Sensor,
+    /// Variables used.
+    pub used: usize,
+}
+
+/// Four arrays, and how many variables they are.
+struct Found {
+    arrays: [Array; 4],
+    /// Width and height, where they are stated.
+    sides: Option<[Array; 2]>,
+    used: usize,
+}
+
+impl Plan {
+    /// Finds the events: in the variable `place` if the user named one.
+    pub fn find(file: &MatFile, place: Option<&str>, size: Option<Sensor>) -> anyhow::Result<Self> {
+        let found = match place {
+            Some(place) => named(file, place, size)?,
+            None => any(file, size)?,
+        };
+        let counts = found.arrays.map(|array| array.count());
+        let [events, ..] = counts;
+        for (which, array) in found.arrays.iter().enumerate() {
+            let (count, name) = (counts[which], NAMES[which][0]);
+            let what = format!("{count} values of {name}, but {events} times");
+            anyhow::ensure!(count == events, file.error_in(array, what));
+            let what = format!("{name} is a matrix, not a row or a column");
+            let is_vector = array.rows == 1 || array.columns == 1 || count == 0;
+            anyhow::ensure!(is_vector, file.error_in(array, what));
+        }
+        let stated = found.sides.map(|sides| stated(file, sides)).transpose()?;
+        let mut plan = Self {
+            arrays: found.arrays,
+            events,
+            unit: TimeUnit::default(),
+            base: Base::default(),
+            sensor: Sensor::new(1, 1).context("the least sensor")?,
+            used: found.used,
+        };
+        plan.unit.seconds = plan.times_in_seconds(file)?;
+        let range = plan.range(file)?;
+        plan.base = range.base();
+        let sensor = stated.or(size).or_else(|| range.sensor(plan.base));
+        plan.sensor = sensor.with_context(|| {
+            let name = file.name();
+            format!("{name}: byte 0: no event, so no sensor size: give --width W --height H")
+        })?;
+        Ok(plan)
+    }
+
+    /// t, x, y and p from event `first` on.
+    pub fn columns(&self, file: &MatFile, first: u64) -> anyhow::Result<[Numbers; 4]> {
+        let [t, x, y, p] = &self.arrays;
+        let open = |array: &Array| {
+            let numbers = file.read(array, first);
+            numbers.map_err(|what| file.error_in(array, what))
+        };
+        Ok([open(t)?, open(x)?, open(y)?, open(p)?])
+    }
+
+    fn times_in_seconds(&self, file: &MatFile) -> anyhow::Result<bool> {
+        let array = &self.arrays[T];
+        if !array.is_float {
+            return Ok(false);
+        }
+        let mut times = [file
+            .read(array, 0)
+            .map_err(|what| file.error_in(array, what))?];
+        let (count, _) = fill(&mut times, limited(self.events, SAMPLE_TIMES));
+        let mut sample = TimeSample::default();
+        let [times] = times;
+        for time in (0..count).filter_map(|row| times.get(row)) {
+            sample.add(time.float().fract() == 0.0, time.float());
+        }
+        Ok(sample.seconds())
+    }
+
+    /// The range of x, y and p before the first that is damaged or none.
+    fn range(&self, file: &MatFile) -> anyhow::Result<Range> {
+        let mut range = Range::default();
+        let [_, x, y, p] = self.columns(file, 0)?;
+        let mut columns = [x, y, p];
+        let mut left = self.events;
+        while left > 0 {
+            let (rows, ended) = fill(&mut columns, limited(left, BATCH_EVENTS));
+            for row in 0..rows {
+                let [x, y, p] = [0, 1, 2].map(|column| columns[column].get(row));
+                let (Some(x), Some(y)) = (coordinate_or_side(x), coordinate_or_side(y)) else {
+                    return Ok(range);
+                };
+                range.add(x, y, p.and_then(Number::whole));
+            }
+            if ended.is_some() {
+                break;
+            }
+            left -= rows as u64;
+        }
+        Ok(range)
+    }
+}
+
+/// A coordinate from 0 or from 1 on.
+fn coordinate_or_side(number: Option<Number>) -> Option<u16> {
+    let whole = number?.whole()?;
+    if whole == i64::from(Sensor::SIDE_MAX) {
+        return Some(Sensor::SIDE_MAX);
+    }
+    coordinate(number)
+}
+
+/// What values there are.
+struct Range {
+    least: u16,
+    x_most: u16,
+    y_most: u16,
+    /// Whether one is 2, and whether all are 1 or 2.
+    has_two: bool,
+    from_one: bool,
+    is_empty: bool,
+}
+
+impl Default for Range {
+    fn default() -> Self {
+        Self {
+            least: u16::MAX,
+            x_most: 0,
+            y_most: 0,
+            has_two: false,
+            from_one: true,
+            is_empty: true,
+        }
+    }
+}
+
+impl Range {
+    fn add(&mut self, x: u16, y: u16, p: Option<i64>) {
+        self.least = self.least.min(x).min(y);
+        (self.x_most, self.y_most) = (self.x_most.max(x), self.y_most.max(y));
+        self.has_two |= p == Some(2);
+        self.from_one &= matches!(p, Some(1 | 2));
+        self.is_empty = false;
+    }
+
+    fn base(&self) -> Base {
+        let from_one = self.has_two && self.from_one;
+        Base {
+            pixel: i64::from(from_one && self.least > 0),
+            polarity: i64::from(from_one),
+        }
+    }
+
+    fn sensor(&self, base: Base) -> Option<Sensor> {
+        let side = |most: u16| {
+            if base.pixel == 0 {
+                most.saturating_add(1)
+            } else {
+                most
+            }
+        };
+        let sensor = Sensor::new(side(self.x_most), side(self.y_most));
+        sensor.filter(|_| !self.is_empty)
+    }
+}
+
+/// The events of the variable that the user named.
+fn named(file: &MatFile, place: &str, size: Option<Sensor>) -> anyhow::Result<Found> {
+    let variable = file.variables().iter().find(|found| found.name == place);
+    let found = match variable.map(|variable| &variable.content) {
+        Some(Content::Structure(fields)) => structure(file, fields),
+        Some(Content::Numbers(array)) => matrix(file, array, size)?,
+        _ => None,
+    };
+    found.ok_or_else(|| missing(file, &format!("no events at {place}")))
+}
+
+/// The events of a file, where only one place can have them.
+fn any(file: &MatFile, size: Option<Sensor>) -> anyhow::Result<Found> {
+    let numbers = |variable: &Variable| match variable.content {
+        Content::Numbers(array) => Some((variable.name.clone(), array)),
+        _ => None,
+    };
+    let plain: Vec<(String, Array)> = file.variables().iter().filter_map(numbers).collect();
+    if let Some(arrays) = columns(&plain) {
+        let sides = sides(&plain);
+        let used = 4 + 2 * usize::from(sides.is_some());
+        return Ok(Found {
+            arrays,
+            sides,
+            used,
+        });
+    }
+    let structures = file
+        .variables()
+        .iter()
+        .filter_map(|variable| match &variable.content {
+            Content::Structure(fields) => Some((variable, structure(file, fields)?)),
+            _ => None,
+        });
+    let mut structures: Vec<(&Variable, Found)> = structures.collect();
+    if let (Some((_, found)), true) = (structures.pop(), structures.is_empty()) {
+        return Ok(found);
+    }
+    if !structures.is_empty() {
+        return Err(missing(file, "several structures with events"));
+    }
+    let mut matrices = plain.iter().filter(|(_, array)| array.columns == 4);
+    let only = matrices.next().filter(|_| matrices.next().is_none());
+    let named = plain
+        .iter()
+        .find(|(name, _)| name.eq_ignore_ascii_case("events"));
+    let found = match named.or(only) {
+        Some((_, array)) => matrix(file, array, size)?,
+        None => None,
+    };
+    found.ok_or_else(|| missing(file, "no events"))
+}
+
+/// An error that tells what there is.
+fn missing(file: &MatFile, what: &str) -> anyhow::Error {
+    if let Some(damage) = file.damage() {
+        return damage;
+    }
+    let list = file
+        .variables()
+        .iter()
+        .take(24)
+        .map(|variable| match &variable.content {
+            Content::Numbers(array) => {
+                format!("{} ({} x {})", variable.name, array.rows, array.columns)
+            }
+            Content::Structure(fields) => {
+                let fields: Vec<&str> = fields
+                    .iter()
+                    .map(|(name, _)| name.as_str())
+                    .take(24)
+                    .collect();
+                format!("{} ({})", variable.name, fields.join(", "))
+            }
+            Content::Other => variable.name.clone(),
+        });
+    let list: Vec<String> = list.collect();
+    let name = file.name();
+    file.error(
+        0,
+        format!(
+            "{what}, neither variables t, x, y, p nor one structure of these nor one matrix of 4 columns: \
+             the file has {}: name a structure or matrix after the file's name, as in {name}/TD",
+            list.join(", ").escape_debug()
+        ),
+    )
+}
+
+fn find(arrays: &[(String, Array)], names: &[&str]) -> Option<Array> {
+    let known = |name: &str| names.iter().any(|known| name.eq_ignore_ascii_case(known));
+    let found = arrays.iter().find(|(name, _)| known(name));
+    found.map(|(_, array)| *array)
+}
+
+/// t, x, y and p by their names.
+fn columns(arrays: &[(String, Array)]) -> Option<[Array; 4]> {
+    let [t, x, y, p] = NAMES.map(|names| find(arrays, names));
+    Some([t?, x?, y?, p?])
+}
+
+/// Width and height by their names.
+fn sides(arrays: &[(String, Array)]) -> Option<[Array; 2]> {
+    Some([find(arrays, &["width"])?, find(arrays, &["height"])?])
+}
+
+/// The events in the fields of a structure.
+fn structure(file: &MatFile, fields: &[(String, Array)]) -> Option<Found> {
+    let arrays = columns(fields)?;
+    let numbers = |variable: &Variable| match variable.content {
+        Content::Numbers(array) => Some((variable.name.clone(), array)),
+        _ => None,
+    };
+    let plain: Vec<(String, Array)> = file.variables().iter().filter_map(numbers).collect();
+    let (inside, beside) = (sides(fields), sides(&plain));
+    let used = 1 + 2 * usize::from(inside.is_none() && beside.is_some());
+    Some(Found {
+        arrays,
+        sides: inside.or(beside),
+        used,
+    })
+}
+
+/// The events in a matrix of four columns, if it is one.
+fn matrix(file: &MatFile, array: &Array, size: Option<Sensor>) -> anyhow::Result<Option<Found>> {
+    if array.columns != 4 {
+        return Ok(None);
+    }
+    let all = [0, 1, 2, 3].map(|column| array.column(column));
+    let mut streams = Vec::new();
+    for column in &all {
+        let numbers = file.read(column, 0);
+        streams.push(numbers.map_err(|what| file.error_in(column, what))?);
+    }
+    let (rows, _) = fill(&mut streams, limited(array.rows, SAMPLE_ROWS));
+    let row = |row: usize| [0, 1, 2, 3].map(|column: usize| streams.get(column)?.get(row));
+    let sample: Vec<_> = (0..rows).map(row).collect();
+    let order = column_order(&sample, size).ok_or_else(|| {
+        let what = "the order of the four columns is unclear: save t, x, y, p";
+        file.error_in(array, what)
+    })?;
+    let arrays = order.map(|column| all.get(column).copied().unwrap_or(*array));
+    Ok(Some(Found {
+        arrays,
+        sides: None,
+        used: 1,
+    }))
+}
+
+/// The sensor's size from two scalars.
+fn stated(file: &MatFile, sides: [Array; 2]) -> anyhow::Result<Sensor> {
+    let [width, height] = sides;
+    let side = |array: &Array| {
+        let value = match file.read(array, 0) {
+            Ok(mut numbers) if array.count() == 1 => match numbers.fill(1) {
+                (1, None) => numbers.get(0).and_then(Number::whole),
+                _ => None,
+            },
+            _ => None,
+        };
+        let side = value.and_then(|side| u16::try_from(side).ok());
+        side.ok_or_else(|| file.error_in(array, "the sensor's side must be one whole number"))
+    };
+    let (width_px, height_px) = (side(&width)?, side(&height)?);
+    Sensor::new(width_px, height_px).ok_or_else(|| {
+        let what = format!("sensor size {width_px}x{height_px} is out of range");
+        file.error_in(&width, what)
+    })
+}
+
+/// `left`, at most `limit`.
+fn limited(left: u64, limit: usize) -> usize {
+    usize::try_from(left).unwrap_or(limit).min(limit)
+}
+
+/// Fills every column with `count` numbers; returns how many all of them have, and which of them ended
+/// it, and how.
+pub fn fill(columns: &mut [Numbers], count: usize) -> (usize, Option<(usize, String)>) {
+    let (mut whole, mut ended) = (count, None);
+    for (which, column) in columns.iter_mut().enumerate() {
+        let (numbers, what) = column.fill(count);
+        whole = whole.min(numbers);
+        ended = ended.or(what.map(|what| (which, what)));
+    }
+    (whole, ended)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn polarities_of_1_and_2_count_from_1_and_so_may_pixels() {
+        let of = |rows: &[(u16, u16, i64)]| {
+            let mut range = Range::default();
+            for (x, y, p) in rows {
+                range.add(*x, *y, Some(*p));
+            }
+            let base = range.base();
+            (base.pixel, base.polarity, range.sensor(base))
+        };
+        let sensor = Sensor::new;
+        assert_eq!(of(&[(1, 3, 1), (4, 1, 2)]), (1, 1, sensor(4, 3)));
+        assert_eq!(of(&[(0, 3, 1), (4, 1, 2)]), (0, 1, sensor(5, 4)));
+        assert_eq!(of(&[(1, 3, 1), (4, 1, 1)]), (0, 0, sensor(5, 4)));
+        assert_eq!(of(&[(1, 3, 1), (4, 1, 0)]), (0, 0, sensor(5, 4)));
+        assert_eq!(of(&[(1, 3, 2), (4, 1, -1)]), (0, 0, sensor(5, 4)));
+        assert_eq!(of(&[]), (0, 0, None));
+    }
+}
