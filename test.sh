@@ -133,6 +133,8 @@ peers() {
     for package in numpy faery expelliarmus evt3 evlib aedat rosbags mcap mcap-ros2-support h5py hdf5plugin pyarrow scipy; do
         "$folder/bin/pip" install -q "$package" || skip "peers: pip cannot install $package"
     done
+    # One of its modules is used, which needs none of the rest.
+    "$folder/bin/pip" install -q --no-deps tonic || skip "peers: pip cannot install tonic"
     EECVS_PYTHON=$PWD/$folder/bin/python \
         cargo test --workspace "${FEATURES[@]}" --test formats_peers -- --nocapture
 }

@@ -101,6 +101,11 @@ fn mat() {
 }
 
 #[test]
+fn nmnist() {
+    compare("nmnist.py", &["nmnist/sample_nmnist.bin"]);
+}
+
+#[test]
 fn tables() {
     compare("tables.py", &["davis346_building_dense/davis.aedat4"]);
 }
