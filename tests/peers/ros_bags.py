@@ -10,6 +10,7 @@ says what is printed.
 import csv
 import json
 import pathlib
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -24,6 +25,8 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+# What rosbags reads metadata by.
+from ruamel.yaml import YAML
 
 PACKET = """std_msgs/Header header
 uint32 height
@@ -333,7 +336,7 @@ def by_mcap(path):
 
 METADATA = """rosbag2_bagfile_information:
   version: 5
-  storage_identifier: {plugin}
+  storage_identifier: mcap
   duration: {{nanoseconds: 1}}
   starting_time: {{nanoseconds_since_epoch: 0}}
   message_count: {count}
@@ -351,6 +354,50 @@ METADATA = """rosbag2_bagfile_information:
 """
 
 
+def describe(bag, text):
+    """What makes a bag of ROS 2 of a file and its folder."""
+    (bag.parent / "metadata.yaml").write_text(text)
+
+
+def tables(path):
+    with sqlite3.connect(path) as database:
+        rows = database.execute("SELECT name, sql FROM sqlite_master ORDER BY name").fetchall()
+    return [(name, "".join(sql.split())) for name, sql in rows]
+
+
+def check_database(bag, name):
+    """Compares what rosbags does not ask a database for; gives a `metadata.yaml` of what is told in it."""
+    kind_hash = store(2).hash_rihs01("event_camera_msgs/msg/EventPacket")
+    with sqlite3.connect(bag) as database:
+        times = "SELECT count(*), min(timestamp), max(timestamp) FROM messages"
+        count, first, last = database.execute(times).fetchone()
+        version, text = database.execute("SELECT metadata_version, metadata FROM metadata").fetchone()
+        hashes = database.execute("SELECT type_description_hash FROM topics").fetchall()
+    check(f"{name}, db3: hash of the definition", hashes == [(kind_hash,)])
+    # rosbags makes rosbag2's.
+    path = bag.parent / "empty"
+    with Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3):
+        pass
+    check(f"{name}, db3: tables", tables(bag) == tables(path / "empty.db3"))
+    told = YAML(typ="safe").load(text)
+    spans = {
+        "starting_time": {"nanoseconds_since_epoch": first},
+        "duration": {"nanoseconds": last - first},
+        "message_count": count,
+    }
+    topic = told["topics_with_message_count"][0]
+    right = [
+        told["version"] == version,
+        told["relative_file_paths"] == [bag.name],
+        told["files"] == [spans | {"path": bag.name}],
+        spans.items() <= told.items(),
+        topic["message_count"] == count,
+        topic["topic_metadata"]["type_description_hash"] == kind_hash,
+    ]
+    check(f"{name}, db3: metadata", all(right))
+    return "rosbag2_bagfile_information:\n" + "".join(f"  {line}\n" for line in text.splitlines())
+
+
 def writing(folder, source, name, size=None):
     """Bags that eecvs writes of `source`."""
     sides = ["--width", str(size[0]), "--height", str(size[1])] if size else []
@@ -362,8 +409,8 @@ def writing(folder, source, name, size=None):
         text = folder / f"{name}.csv"
         subprocess.run([comparison.eecvs, "convert", source, text], check=True, capture_output=True)
         want = read_csv(text)
-    for kind in ("bag", "mcap"):
-        bag = folder / f"{name}_bag" / f"{name}.{kind}"
+    for kind in ("bag", "mcap") + ("db3",) * has_db3(folder):
+        bag = folder / f"{name}_{kind}" / f"{name}.{kind}"
         bag.parent.mkdir(exist_ok=True)
         result = subprocess.run([comparison.eecvs, "convert", source, bag, *sides], capture_output=True, text=True)
         if result.returncode:
@@ -374,11 +421,14 @@ def writing(folder, source, name, size=None):
             got = collect(by_mcap(bag), size)
             check(f"{name}, {kind}, {len(want)} events, by mcap and mcap-ros2-support", same(got, want))
             count = sum(1 for _ in by_mcap(bag))
-            yaml = METADATA.format(plugin="mcap", file=bag.name, count=count)
-            (bag.parent / "metadata.yaml").write_text(yaml)
+            describe(bag, METADATA.format(file=bag.name, count=count))
+        if kind == "db3":
+            describe(bag, check_database(bag, name))
         path = bag if kind == "bag" else bag.parent
         got = collect(by_rosbags(path, kind), size)
         check(f"{name}, {kind}, {len(want)} events, by rosbags", same(got, want))
+        if kind == "db3":
+            check(f"{name}, {kind}, the file alone, by rosbags", same(collect(by_rosbags(bag, kind), size), want))
 
 
 def written(folder):

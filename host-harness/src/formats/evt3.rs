@@ -225,6 +225,22 @@ impl WordDecoder {
         }
     }
 
+    /// Of the rows and columns.
+    pub const fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    /// Time of an event that came next, once a `TIME_HIGH` has come.
+    pub fn t_us(&self) -> Option<u64> {
+        let high = self.high.last()?;
+        Some((high << TIME_BITS | u64::from(self.low)) + self.t0_us)
+    }
+
+    /// Adds to every time.
+    pub fn add_us(&mut self, t_us: u64) {
+        self.t0_us += t_us;
+    }
+
     /// Emits the events at `x + i` for every bit i of `bits`.
     fn emit(
         &mut self,

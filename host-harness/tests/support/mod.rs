@@ -9,141 +9,35 @@ use proptest::prelude::*;
 
 /// Every extension that can be written, and a sensor that its format can hold.
 #[allow(dead_code, reason = "not every test file writes recordings")]
-pub const FORMATS: [(&str, Sensor); 19] = [
-    (
-        "aedat4",
-        Sensor {
-            width: 346,
-            height: 260,
-        },
-    ),
-    (
-        "aedat",
-        Sensor {
-            width: 128,
-            height: 128,
-        },
-    ),
-    (
-        "aedat",
-        Sensor {
-            width: 240,
-            height: 180,
-        },
-    ),
-    (
-        "evt2.raw",
-        Sensor {
-            width: 640,
-            height: 480,
-        },
-    ),
-    (
-        "raw",
-        Sensor {
-            width: 1280,
-            height: 720,
-        },
-    ),
-    (
-        "evt21.raw",
-        Sensor {
-            width: 346,
-            height: 260,
-        },
-    ),
-    (
-        "evt4.raw",
-        Sensor {
-            width: 346,
-            height: 260,
-        },
-    ),
-    (
-        "evt4",
-        Sensor {
-            width: 17,
-            height: 2048,
-        },
-    ),
-    (
-        "dat",
-        Sensor {
-            width: 1280,
-            height: 720,
-        },
-    ),
-    (
-        "mcap",
-        Sensor {
-            width: 2048,
-            height: 2048,
-        },
-    ),
-    (
-        "bag",
-        Sensor {
-            width: 640,
-            height: 480,
-        },
-    ),
-    (
-        "csv",
-        Sensor {
-            width: 2048,
-            height: 2048,
-        },
-    ),
-    (
-        "txt",
-        Sensor {
-            width: 34,
-            height: 34,
-        },
-    ),
-    (
-        "h5",
-        Sensor {
-            width: 346,
-            height: 260,
-        },
-    ),
-    (
-        "arrow",
-        Sensor {
-            width: 1280,
-            height: 720,
-        },
-    ),
-    (
-        "arrows",
-        Sensor {
-            width: 640,
-            height: 480,
-        },
-    ),
-    (
-        "parquet",
-        Sensor {
-            width: 2048,
-            height: 2048,
-        },
-    ),
-    (
-        "npz",
-        Sensor {
-            width: 320,
-            height: 240,
-        },
-    ),
-    (
-        "mat",
-        Sensor {
-            width: 320,
-            height: 240,
-        },
-    ),
+pub const FORMATS: &[(&str, Sensor)] = &[
+    ("aedat4", of(346, 260)),
+    ("aedat", of(128, 128)),
+    ("aedat", of(240, 180)),
+    ("evt2.raw", of(640, 480)),
+    ("raw", of(1280, 720)),
+    ("evt21.raw", of(346, 260)),
+    ("evt4.raw", of(346, 260)),
+    ("evt4", of(17, 2048)),
+    ("dat", of(1280, 720)),
+    ("es", of(304, 240)),
+    ("bin", of(34, 34)),
+    ("mcap", of(2048, 2048)),
+    #[cfg(feature = "db3")]
+    ("db3", of(640, 480)),
+    ("bag", of(640, 480)),
+    ("csv", of(2048, 2048)),
+    ("txt", of(34, 34)),
+    ("h5", of(346, 260)),
+    ("arrow", of(1280, 720)),
+    ("arrows", of(640, 480)),
+    ("parquet", of(2048, 2048)),
+    ("npz", of(320, 240)),
+    ("mat", of(320, 240)),
 ];
+
+const fn of(width: u16, height: u16) -> Sensor {
+    Sensor { width, height }
+}
 
 /// Events as those in the seeds of `fuzz/seeds/*.py`: 17 us apart from `start_us` on, on 64 x 48 pixels.
 #[allow(dead_code, reason = "not every test file wants these")]
@@ -191,6 +85,20 @@ pub fn events(sensor: Sensor, count: usize) -> impl Strategy<Value = Vec<Event>>
     })
 }
 
+/// Events with times, and an order of these, that files with such an ending can hold.
+#[allow(dead_code, reason = "not every test file writes recordings")]
+pub fn fitted(extension: &str, mut events: Vec<Event>) -> Vec<Event> {
+    let path = format!("events.{extension}");
+    let (format, _) = formats::writable(Path::new(&path)).expect("a known extension");
+    for event in &mut events {
+        event.t_us %= format.limits.t_max_us + 1;
+    }
+    if !format.limits.steps_back {
+        events.sort_by_key(|event| event.t_us);
+    }
+    events
+}
+
 /// Writes events into `folder` and returns the file's bytes.
 #[allow(dead_code, reason = "not every test file writes recordings")]
 pub fn written(folder: &Path, extension: &str, sensor: Sensor, events: &[Event]) -> Vec<u8> {
@@ -229,7 +137,16 @@ pub fn drain(reader: &mut dyn EventReader) -> (Vec<Event>, Option<anyhow::Error>
 
 /// Opens bytes and reads them; an error of opening counts as an error before the first event.
 pub fn read(bytes: &[u8], size: Option<Sensor>) -> (Vec<Event>, Option<anyhow::Error>) {
-    match formats::open_source(Box::new(Cursor::new(bytes.to_vec())), "test", size) {
+    read_as("test", bytes, size)
+}
+
+/// As [`read`], of a file of that name, which tells some formats.
+pub fn read_as(
+    name: &str,
+    bytes: &[u8],
+    size: Option<Sensor>,
+) -> (Vec<Event>, Option<anyhow::Error>) {
+    match formats::open_source(Box::new(Cursor::new(bytes.to_vec())), name, size) {
         Ok(mut reader) => drain(reader.as_mut()),
         Err(error) => (Vec::new(), Some(error)),
     }

@@ -7,8 +7,17 @@
 //!
 //! SQLite itself reads the file: what a database may be (journals, overflow pages, versions) is no
 //! matter for a second reader. Its C library would make every first build longer, so this format is a
-//! feature of the build (`db3`); without it a database is told and refused.
+//! feature of the build (`db3`); without it a database is told and refused, as is writing one.
 
+use std::path::Path;
+
+use eecvs_nostd::Sensor;
+
+#[cfg(feature = "db3")]
+use super::db3_writer::Db3Writer;
+use super::fields::Serialisation;
+use super::packets::t_max_us;
+use crate::formats::EventWriter;
 use crate::formats::format::{Format, Limits};
 
 /// First bytes of every SQLite database.
@@ -23,8 +32,11 @@ pub const FORMAT: Format = Format {
     open: reader::open,
     has_places: true,
     grows: false,
-    limits: Limits::NONE,
-    create: None,
+    limits: Limits {
+        t_max_us: t_max_us(Serialisation::Cdr),
+        ..Limits::NONE
+    },
+    create: Some(create),
 };
 
 /// Why a build without SQLite reads no database.
@@ -34,6 +46,21 @@ pub fn refusal(name: &str) -> String {
     format!(
         "{name}: byte 0: SQLite is not part of this build: build with `--features db3`, or convert \
          the bag to .mcap (ros2 bag convert)"
+    )
+}
+
+/// Creates a database.
+#[cfg(feature = "db3")]
+fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
+    Ok(Box::new(Db3Writer::create(path, sensor)?))
+}
+
+/// Refuses.
+#[cfg(not(feature = "db3"))]
+fn create(path: &Path, _: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
+    anyhow::bail!(
+        "{}: SQLite is not part of this build: build with `--features db3`, or write .mcap",
+        path.display()
     )
 }
 
@@ -112,9 +139,18 @@ mod reader {
         /// # Errors
         /// No database.
         pub fn new(path: &Path, name: &str) -> anyhow::Result<Self> {
+            let context = || format!("{name}: byte 0: SQLite cannot open it");
             let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-            let connection = Connection::open_with_flags(path, flags)
-                .with_context(|| format!("{name}: byte 0: SQLite cannot open it"))?;
+            let connection = Connection::open_with_flags(path, flags).with_context(context)?;
+            let page: i64 = connection
+                .pragma_query_value(None, "page_size", |row| row.get(0))
+                .with_context(context)?;
+            let length = std::fs::metadata(path).with_context(context)?.len();
+            // SQLite takes what is missing of the last page for zeros.
+            anyhow::ensure!(
+                length.checked_rem(page.unsigned_abs()) == Some(0),
+                "{name}: byte {length}: truncated within a page of the database: copy it anew"
+            );
             Ok(Self {
                 connection,
                 name: name.to_owned(),
@@ -219,6 +255,10 @@ mod reader {
                 match found.with_context(|| self.broken())? {
                     None => break None,
                     Some((id, kind, length)) => {
+                        // SQLite trusts the order in its pages, and would give the same ones for ever.
+                        if self.message != i64::MIN && id <= self.message {
+                            anyhow::bail!(self.broken());
+                        }
                         self.message = id;
                         if let Some(kind) = kind {
                             if length > MESSAGE_MAX as i64 {
@@ -311,6 +351,49 @@ mod tests {
         transaction.commit().unwrap();
     }
 
+    /// The number of a message is what its place in the database is told by: of one that stands in a wrong
+    /// place SQLite says nothing.
+    #[test]
+    fn numbers_that_do_not_ascend_end_the_reading() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.db3");
+        let event = |i: u64| Event {
+            t_us: i * 20_000,
+            x: 3,
+            y: 4,
+            polarity: Polarity::On,
+        };
+        write(&path, &[event(0), event(1), event(2)]);
+        let bytes = std::fs::read(&path).unwrap();
+        // Numbers 40, 43 and 46 stand before the message's columns: header of 5 bytes, topic 3.
+        let mut changed = 0;
+        for at in 0..bytes.len() - 3 {
+            if bytes[at] != 46 || !(4..8).contains(&bytes[at + 1]) {
+                continue;
+            }
+            let mut damaged = bytes.clone();
+            damaged[at] = 41;
+            std::fs::write(&path, &damaged).unwrap();
+            let Ok(mut reader) = open(&path, None) else {
+                continue;
+            };
+            let mut got = Vec::new();
+            let end = loop {
+                match reader.read(&mut got) {
+                    Ok(0) => break Ok(()),
+                    Ok(_) => assert!(got.len() <= 3),
+                    Err(error) => break Err(error.to_string()),
+                }
+            };
+            if let Err(error) = end {
+                assert!(error.contains("damaged"), "{error}");
+                assert_eq!(got, [event(0), event(1)]);
+                changed += 1;
+            }
+        }
+        assert_eq!(changed, 1);
+    }
+
     #[test]
     fn seeking_goes_by_the_numbers_of_messages() {
         let folder = tempfile::tempdir().unwrap();
@@ -341,5 +424,21 @@ mod tests {
         };
         let refused = open_growing(&path, None, &follow).err().unwrap();
         assert!(refused.to_string().contains("SQLite"), "{refused}");
+    }
+}
+
+#[cfg(all(test, not(feature = "db3")))]
+mod tests {
+    use crate::formats::create;
+
+    #[test]
+    fn a_build_without_sqlite_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.db3");
+        let sensor = eecvs_nostd::Sensor::new(346, 260).unwrap();
+        let refused = create(&path, sensor).err().unwrap().to_string();
+        assert!(refused.contains("--features db3"), "{refused}");
+        assert!(refused.contains(".mcap"), "{refused}");
+        assert!(!path.exists());
     }
 }

@@ -15,13 +15,7 @@
 //! * `mono`: `time_base` + 32 bits of ns; x bits 32 to 47, y bits 48 to 62, polarity bit 63.
 //! * `EventArray`: the structure's time.
 //!
-//! Nanoseconds are rounded down to microseconds.
-//!
-//! Seeking asks the index of a file for its places (chunks, or rows of a table) and no times of it: those
-//! are the computer's at the arrival, which need not be the sensor's clock. The place is bisected by the
-//! times of events, of the first message behind each place that is tried. `evt3` and `libcaer_cmp` are read
-//! from their start: their words go on where the message before has ended, and `evt3` tells a time within
-//! 16.8 s, so that what an event is depends on all that is before.
+//! Nanoseconds are rounded down to microseconds. [`super::seek`] says how a time is found.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
@@ -120,7 +114,6 @@ impl RosReader {
             sensor,
             message,
             content: Some(head.content),
-            alone: head.content.is_alone(),
             sought: false,
             evt3: WordDecoder::new(sensor, 0),
             libcaer_high_us: 0,
@@ -134,7 +127,7 @@ impl RosReader {
 
 /// What words of `libcaer_cmp` have said.
 #[derive(Debug, Default)]
-struct VectorState {
+pub(super) struct VectorState {
     high: u16,
     low: u16,
     x: u16,
@@ -142,25 +135,54 @@ struct VectorState {
     polarity: bool,
 }
 
+impl VectorState {
+    /// Begins a message.
+    pub fn message(&mut self) {
+        (self.high, self.low) = (0, 0);
+    }
+
+    /// Microseconds since the message's `time_base`.
+    pub fn since_us(&self) -> u64 {
+        u64::from(self.high) << 12 | u64::from(self.low)
+    }
+
+    /// Takes a word, up to the events of it.
+    pub fn take(&mut self, word: u16) {
+        let value = word & 0xfff;
+        match word >> 12 {
+            0 => self.high = value,
+            1 => self.low = value,
+            VECTOR_X => self.x = word & 0x7ff,
+            VECTOR_BASE => (self.y, self.polarity) = (u32::from(word & 0x7ff), word & 0x800 != 0),
+            VECTOR => self.y = self.y.saturating_add(8),
+            _ => {}
+        }
+    }
+}
+
+/// Types of `libcaer_cmp`'s words.
+pub(super) const VECTOR_X: u16 = 2;
+const VECTOR_EVENT: u16 = 3;
+pub(super) const VECTOR_BASE: u16 = 4;
+const VECTOR: u16 = 5;
+
 /// State between two batches.
 pub struct RosDecoder {
-    messages: Box<dyn Messages>,
-    topics: Topics,
+    pub(super) messages: Box<dyn Messages>,
+    pub(super) topics: Topics,
     /// Width and height as the first message tells them.
-    told: (u32, u32),
-    sensor: Sensor,
-    message: Vec<u8>,
+    pub(super) told: (u32, u32),
+    pub(super) sensor: Sensor,
+    pub(super) message: Vec<u8>,
     /// What of the message is unread.
-    content: Option<Content>,
-    /// Whether the latest message can be read without those before it.
-    alone: bool,
+    pub(super) content: Option<Content>,
     /// Events are not counted from the file's beginning.
-    sought: bool,
-    evt3: WordDecoder,
+    pub(super) sought: bool,
+    pub(super) evt3: WordDecoder,
     /// Rolled over within this message.
     libcaer_high_us: u64,
     libcaer_last_us: u64,
-    vectors: VectorState,
+    pub(super) vectors: VectorState,
     events: u64,
     skipped: Skipped,
 }
@@ -184,36 +206,15 @@ impl RosDecoder {
             );
             return Err(self.messages.error(0, &what));
         }
-        self.content = Some(head.content);
-        self.alone = head.content.is_alone();
-        (self.libcaer_high_us, self.libcaer_last_us) = (0, 0);
-        (self.vectors.high, self.vectors.low) = (0, 0);
+        self.begin(head.content);
         Ok(true)
     }
 
-    /// Whether the first event from a place on is before a time. Where there is none, or a damage, reading
-    /// has to begin before.
-    fn is_before(&mut self, place: u64, t_us: u64) -> bool {
-        let Self {
-            messages,
-            topics,
-            message,
-            ..
-        } = self;
-        if messages.go(place, topics).is_err() {
-            return false;
-        }
-        // What is passed here is not read.
-        let mut skipped = Skipped::default();
-        while let Ok(Some((kind, serialisation))) = messages.next(message, topics, &mut skipped) {
-            let Ok(Head { content, .. }) = Head::read(message, kind, serialisation) else {
-                return false;
-            };
-            if !content.is_empty() {
-                return content.first_us(message).is_some_and(|first| first < t_us);
-            }
-        }
-        false
+    /// Begins with the content of the message that was read last.
+    pub(super) fn begin(&mut self, content: Content) {
+        self.content = Some(content);
+        (self.libcaer_high_us, self.libcaer_last_us) = (0, 0);
+        self.vectors.message();
     }
 
     fn outside(&self, at: usize, x: i64, y: i64) -> anyhow::Error {
@@ -310,25 +311,21 @@ impl RosDecoder {
         base_ns: u64,
         batch: &mut Batch<'_>,
     ) -> anyhow::Result<()> {
-        let (value, row, on) = (word & 0xfff, u32::from(word & 0x7ff), word & 0x800 != 0);
-        let state = &mut self.vectors;
-        let time_us = u64::from(state.high) << 12 | u64::from(state.low);
+        let VectorState { x, y, polarity, .. } = self.vectors;
+        let since_ns = self.vectors.since_us() * 1000;
+        self.vectors.take(word);
         match word >> 12 {
-            0 => state.high = value,
-            1 => state.low = value,
-            2 => state.x = word & 0x7ff,
-            3 => {
-                let x = state.x.into();
-                let t_ns = self.time(at, base_ns, time_us * 1000)?;
-                self.push(at, (t_ns, x, row, on), batch)?;
+            0 | 1 | VECTOR_X | VECTOR_BASE => {}
+            VECTOR_EVENT => {
+                let (row, on) = (u32::from(word & 0x7ff), word & 0x800 != 0);
+                let t_ns = self.time(at, base_ns, since_ns)?;
+                self.push(at, (t_ns, x.into(), row, on), batch)?;
             }
-            4 => (state.y, state.polarity) = (row, on),
-            5 => {
-                let (x, y, on) = (state.x.into(), state.y, state.polarity);
-                state.y = y.saturating_add(8);
-                let t_ns = self.time(at, base_ns, time_us * 1000)?;
+            VECTOR => {
+                let t_ns = self.time(at, base_ns, since_ns)?;
                 for bit in (0..8).filter(|bit| word >> bit & 1 == 1) {
-                    self.push(at, (t_ns, x, y.saturating_add(bit), on), batch)?;
+                    let event = (t_ns, x.into(), y.saturating_add(bit), polarity);
+                    self.push(at, event, batch)?;
                 }
             }
             _ => self.skipped.add("unknown words", 1),
@@ -391,25 +388,7 @@ impl Decode for RosDecoder {
     }
 
     fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
-        if !self.alone {
-            return Ok(false);
-        }
-        let Some(places) = self.messages.places(&mut self.topics)? else {
-            return Ok(false);
-        };
-        // The last place whose first event is before the time, or the beginning.
-        let (mut place, mut end) = (0, places);
-        while end.saturating_sub(place) > 1 {
-            let middle = place + (end - place) / 2;
-            match self.is_before(middle, t_us) {
-                true => place = middle,
-                false => end = middle,
-            }
-        }
-        self.messages.go(place, &mut self.topics)?;
-        self.content = None;
-        self.sought = true;
-        Ok(true)
+        self.seek_to(t_us)
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
@@ -442,149 +421,5 @@ impl Decode for RosDecoder {
             }
         }
         Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::path::{Path, PathBuf};
-
-    use super::*;
-    use crate::formats::{EventReader, create, open};
-
-    const SENSOR: Sensor = Sensor {
-        width: 346,
-        height: 260,
-    };
-
-    /// Events of several chunks, with many of each time.
-    fn some_events(from: u64, n: u64) -> Vec<Event> {
-        (from..from + n)
-            .map(|i| Event {
-                t_us: 1_700_000_000_000_000 + i / 7 * 7,
-                x: (i % 346) as u16,
-                y: (i / 346 % 260) as u16,
-                polarity: Polarity::from_bool(i % 3 == 0),
-            })
-            .collect()
-    }
-
-    fn write(path: &Path, events: &[Event]) {
-        let mut writer = create(path, SENSOR).unwrap();
-        writer.write(events).unwrap();
-        writer.finish().unwrap();
-    }
-
-    fn rest(reader: &mut dyn EventReader) -> Vec<Event> {
-        let mut events = Vec::new();
-        while reader.read(&mut events).unwrap() > 0 {}
-        events
-    }
-
-    /// Seeks in `path`, to and fro, and reads every event from there on, and few before.
-    fn check_seeks(path: &Path, want: &[Event], before_max: usize) {
-        let mut reader = open(path, None).unwrap();
-        assert_eq!(rest(reader.as_mut()), want);
-        let (first, last) = (want[0].t_us, want[want.len() - 1].t_us);
-        for target in [
-            last,
-            0,
-            first,
-            first + 7,
-            (first + last) / 2,
-            first + (last - first) / 3,
-            last - 7,
-            last + 1,
-            u64::MAX,
-        ] {
-            assert!(reader.seek(target).unwrap(), "{}", path.display());
-            let got = rest(reader.as_mut());
-            assert!(want.ends_with(&got), "{}: {target}", path.display());
-            let wanted = want.len() - want.partition_point(|event| event.t_us < target);
-            assert!(got.len() >= wanted, "{}: {target}", path.display());
-            assert!(
-                got.len() <= wanted + before_max,
-                "{}: {target}: {} events, {wanted} wanted",
-                path.display(),
-                got.len()
-            );
-        }
-    }
-
-    #[test]
-    fn seeking_gives_every_event_from_a_time_on() {
-        let folder = tempfile::tempdir().unwrap();
-        let want = some_events(0, 700_000);
-        for (name, chunk) in [("a.mcap", 145_000), ("a.bag", 115_000)] {
-            let path = folder.path().join(name);
-            write(&path, &want);
-            check_seeks(&path, &want, chunk);
-        }
-    }
-
-    #[test]
-    fn seeking_goes_over_the_files_of_a_folder() {
-        let folder = tempfile::tempdir().unwrap();
-        let at = |name: &str| -> PathBuf { folder.path().join(name) };
-        let want = some_events(0, 450_000);
-        let mut list = "relative_file_paths:\n".to_owned();
-        for (number, part) in want.chunks(150_000).enumerate() {
-            let name = format!("part_{number}.mcap");
-            write(&at(&name), part);
-            list += &format!("  - {name}\n");
-        }
-        std::fs::write(at("metadata.yaml"), list).unwrap();
-        check_seeks(folder.path(), &want, 145_000);
-    }
-
-    #[test]
-    fn without_an_index_nothing_is_done() {
-        let folder = tempfile::tempdir().unwrap();
-        let want = some_events(0, 300_000);
-        for name in ["a.mcap", "a.bag"] {
-            let path = folder.path().join(name);
-            write(&path, &want);
-            let mut bytes = std::fs::read(&path).unwrap();
-            bytes.truncate(bytes.len() - 5);
-            std::fs::write(&path, &bytes).unwrap();
-            let mut reader = open(&path, None).unwrap();
-            let mut got = Vec::new();
-            reader.read(&mut got).unwrap();
-            assert!(!reader.seek(want[200_000].t_us).unwrap());
-            while let Ok(1..) = reader.read(&mut got) {}
-            assert_eq!(got, want, "{name}");
-        }
-    }
-
-    /// Of a chunk in LZ4 that was cut off, whole blocks of 64 kB can be read.
-    #[test]
-    fn a_chunk_that_was_cut_off_gives_what_it_has() {
-        let folder = tempfile::tempdir().unwrap();
-        let want = some_events(0, 100_000);
-        let path = folder.path().join("a.mcap");
-        write(&path, &want);
-        let bytes = std::fs::read(&path).unwrap();
-        for part in 1..10 {
-            std::fs::write(&path, &bytes[..bytes.len() * part / 10]).unwrap();
-            let Ok(mut reader) = open(&path, None) else {
-                assert!(part == 1);
-                continue;
-            };
-            let mut got = Vec::new();
-            let error = loop {
-                match reader.read(&mut got) {
-                    Ok(0) => panic!("the cut was not noticed"),
-                    Ok(_) => {}
-                    Err(error) => break error.to_string(),
-                }
-            };
-            assert!(error.contains("cut off"), "{error}");
-            assert!(want.starts_with(&got));
-            assert!(
-                got.len() + 25_000 > want.len() * part / 10,
-                "{part}: {}",
-                got.len()
-            );
-        }
     }
 }

@@ -22,13 +22,15 @@ use super::mcap::{
     CHANNEL, CHUNK, CHUNK_INDEX, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, MESSAGE_INDEX, SCHEMA,
     STATISTICS, SUMMARY_OFFSET,
 };
-use super::packets::{DEFINITION_ROS2, Message, MessageFile, PacketWriter, Packets, TOPIC};
+use super::packets::{
+    DEFINITION_ROS2, Message, MessageFile, PacketWriter, Packets, TOPIC, TYPE_ROS2,
+};
 use crate::formats::output::Output;
 
 /// The CRC-32 of zip files and Ethernet, which MCAP has chosen.
 static CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
-/// A chunk is closed once it has so many bytes.
+/// Bytes of a chunk, about.
 const CHUNK_BYTES: usize = 1 << 20;
 
 /// The one schema and channel.
@@ -46,21 +48,8 @@ impl McapWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let file = Output::create(path)?;
-        let packets = Packets::new(file.name(), sensor, Serialisation::Cdr);
-        let mut file = Records {
-            file,
-            crc: CRC.digest(),
-            chunk: Chunk::default(),
-            chunks: Vec::new(),
-            messages: 0,
-        };
-        file.put(MAGIC)?;
-        let mut header = Vec::new();
-        string(&mut header, "ros2");
-        string(&mut header, concat!("eecvs ", env!("CARGO_PKG_VERSION")));
-        file.record(HEADER, &header)?;
-        describe(&mut file.chunk.bytes);
+        let file = Records::create(path, CHUNK_BYTES)?;
+        let packets = Packets::new(file.file.name(), sensor, Serialisation::Cdr);
         Ok(Self::new(packets, file))
     }
 }
@@ -73,7 +62,7 @@ fn describe(bytes: &mut Vec<u8>) {
 
 fn schema() -> Vec<u8> {
     let mut schema = SCHEMA_ID.to_le_bytes().to_vec();
-    string(&mut schema, "event_camera_msgs/msg/EventPacket");
+    string(&mut schema, TYPE_ROS2);
     string(&mut schema, "ros2msg");
     string(&mut schema, DEFINITION_ROS2);
     schema
@@ -127,6 +116,7 @@ struct Placed {
 pub struct Records {
     file: Output,
     crc: Digest<'static, u32, Table<16>>,
+    chunk_bytes: usize,
     chunk: Chunk,
     chunks: Vec<Placed>,
     messages: u64,
@@ -145,7 +135,7 @@ impl MessageFile for Records {
         bytes.extend_from_slice(&message.time_ns.to_le_bytes());
         bytes.extend_from_slice(&message.bytes);
         self.messages += 1;
-        if bytes.len() >= CHUNK_BYTES {
+        if bytes.len() >= self.chunk_bytes {
             self.close()?;
         }
         Ok(())
@@ -198,6 +188,28 @@ impl MessageFile for Records {
 }
 
 impl Records {
+    /// Creates the file and begins it; a chunk is closed once it has `chunk_bytes`.
+    ///
+    /// # Errors
+    /// I/O.
+    pub(super) fn create(path: &Path, chunk_bytes: usize) -> anyhow::Result<Self> {
+        let mut file = Self {
+            file: Output::create(path)?,
+            chunk_bytes,
+            crc: CRC.digest(),
+            chunk: Chunk::default(),
+            chunks: Vec::new(),
+            messages: 0,
+        };
+        file.put(MAGIC)?;
+        let mut header = Vec::new();
+        string(&mut header, "ros2");
+        string(&mut header, concat!("eecvs ", env!("CARGO_PKG_VERSION")));
+        file.record(HEADER, &header)?;
+        describe(&mut file.chunk.bytes);
+        Ok(file)
+    }
+
     fn put(&mut self, bytes: &[u8]) -> anyhow::Result<()> {
         self.crc.update(bytes);
         self.file.put(bytes)

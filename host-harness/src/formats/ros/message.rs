@@ -6,7 +6,7 @@
 //! | `dvs_msgs/EventArray`, `prophesee_event_msgs/EventArray` | header, uint32 height, uint32 width, Event[] of uint16 x, uint16 y, time ts, bool polarity |
 //!
 //! A header is (ROS 1 only) uint32 seq, then a time and a string. Its time is the computer's at the
-//! arrival: it is not used.
+//! arrival: no event's time is made of it.
 
 use super::fields::{Cursor, Fields, Serialisation};
 
@@ -97,15 +97,6 @@ pub enum Content {
 }
 
 impl Content {
-    /// Whether the events can be read without the messages before.
-    #[must_use]
-    pub const fn is_alone(&self) -> bool {
-        match self {
-            Self::Packed { encoding, .. } => matches!(encoding, Encoding::Libcaer | Encoding::Mono),
-            Self::Array { .. } => true,
-        }
-    }
-
     /// Whether there are no events.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
@@ -150,6 +141,8 @@ pub struct Head {
     pub width: u32,
     /// Rows; 0 where the recorder did not know.
     pub height: u32,
+    /// The computer's time at the arrival, since 1970 in ns.
+    pub stamp_ns: u64,
     /// The events, unread.
     pub content: Content,
 }
@@ -177,8 +170,9 @@ impl Head {
         if serialisation == Serialisation::Ros1 {
             fields.u32()?;
         }
-        fields.u32()?;
-        fields.u32()?;
+        // Whatever it is: only seeking asks.
+        let (seconds, nanos) = (fields.u32()?, fields.u32()?);
+        let stamp_ns = u64::from(seconds) * 1_000_000_000 + u64::from(nanos);
         fields.sequence()?;
         let (height, width) = (fields.u32()?, fields.u32()?);
         let content = match kind {
@@ -216,6 +210,7 @@ impl Head {
         Ok(Self {
             width,
             height,
+            stamp_ns,
             content,
         })
     }

@@ -16,6 +16,14 @@ use crate::formats::{EventWriter, check_inside};
 /// The topic that events are written on: the drivers' own.
 pub const TOPIC: &str = "/event_camera/events";
 
+/// The message's type in ROS 2.
+pub const TYPE_ROS2: &str = "event_camera_msgs/msg/EventPacket";
+
+/// What ROS 2 knows the definition by: the SHA-256 of its description (REP 2016).
+#[cfg(feature = "db3")]
+pub const HASH_ROS2: &str =
+    "RIHS01_d6fa176260b1f37e5a40845305315e150a0f18191241eb64f407442aa29844aa";
+
 /// What message headers call the camera.
 const FRAME_ID: &str = "event_camera";
 
@@ -211,32 +219,61 @@ impl Packets {
         &mut self,
         put: &mut impl FnMut(&Message) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        // At most the seconds of a stamp: no product is beyond 2^63.
-        let base_ns = self.first_us * 1000;
         let Message {
             time_ns, sequence, ..
         } = self.message;
-        let mut fields = Put::new(std::mem::take(&mut self.message.bytes), self.serialisation);
-        if self.serialisation == Serialisation::Ros1 {
-            // ROS 1's own number wraps.
-            fields.u32(sequence as u32);
-        }
-        fields.u32((self.first_us / 1_000_000) as u32);
-        fields.u32((self.first_us % 1_000_000 * 1000) as u32);
-        fields.string(FRAME_ID);
-        fields.u32(self.sensor.height.into());
-        fields.u32(self.sensor.width.into());
-        fields.u64(sequence);
-        fields.u64(base_ns);
-        fields.string("libcaer");
-        fields.bytes.push(0);
-        fields.sequence(&self.words);
-        self.message.bytes = fields.bytes;
+        // At most the seconds of a stamp: no product is beyond 2^63.
+        let base_ns = self.first_us * 1000;
+        let packet = Packet {
+            sequence,
+            stamp_us: self.first_us,
+            sensor: self.sensor,
+            base_ns,
+            encoding: "libcaer",
+            words: &self.words,
+        };
+        let bytes = std::mem::take(&mut self.message.bytes);
+        self.message.bytes = packet.put(bytes, self.serialisation);
         self.message.time_ns = time_ns.max(base_ns);
         self.words.clear();
         put(&self.message)?;
         self.message.sequence += 1;
         Ok(())
+    }
+}
+
+/// What an `EventPacket` says.
+pub(super) struct Packet<'a> {
+    /// Number of the message.
+    pub sequence: u64,
+    /// Time of the header: its seconds are those of a stamp.
+    pub stamp_us: u64,
+    pub sensor: Sensor,
+    pub base_ns: u64,
+    pub encoding: &'a str,
+    /// Packed events.
+    pub words: &'a [u8],
+}
+
+impl Packet<'_> {
+    /// Serialises it in place of what `bytes` holds.
+    pub fn put(&self, bytes: Vec<u8>, serialisation: Serialisation) -> Vec<u8> {
+        let mut fields = Put::new(bytes, serialisation);
+        if serialisation == Serialisation::Ros1 {
+            // ROS 1's own number wraps.
+            fields.u32(self.sequence as u32);
+        }
+        fields.u32((self.stamp_us / 1_000_000) as u32);
+        fields.u32((self.stamp_us % 1_000_000 * 1000) as u32);
+        fields.string(FRAME_ID);
+        fields.u32(self.sensor.height.into());
+        fields.u32(self.sensor.width.into());
+        fields.u64(self.sequence);
+        fields.u64(self.base_ns);
+        fields.string(self.encoding);
+        fields.bytes.push(0);
+        fields.sequence(self.words);
+        fields.bytes
     }
 }
 
