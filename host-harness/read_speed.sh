@@ -5,9 +5,9 @@
 # Measures `eecvs bench --read` beside faery, aedat, expelliarmus and evt3, as Python gives them: whole arrays,
 # converted no further. All are on one and the same processor, one after the other in every round (5 unless
 # told), and the best of all rounds counts. The files are the recordings in ../shared/data, beside the project,
-# and two of them repeated to some 12 million events in each format. Prints a Markdown table.
+# and two of them repeated to some 12 million events in each format.
 #
-#   --record FILE  also writes the rows as JSON
+#   --record FILE  also writes the rows as a record, of which README.md's table is made
 #
 # Wants python3 with venv, the network for the packages, and a machine that does nothing else.
 set -euo pipefail

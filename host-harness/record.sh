@@ -9,12 +9,13 @@
 #   rate-control   record/rate-control.json  README: rate control
 #   keep-order     record/keep-order.json    README: keep order
 #   exact-times    record/exact-times-*.json README: exact times
+#   read-speed     record/read-speed.json    README: read speed; Python's packages from the network
 #   report         record/results.json       README: report; half an hour
 #   instructions   ../firmware/instructions.json, README: instructions
 #   mcu-kernels    ../firmware/kernels.json  README: kernels
 #
 # All but the demo is of the recordings in ../shared/data, beside the project. Times of a clock (demo, kernels,
-# skips, report) want a machine that does nothing else; all other figures are the same in every run.
+# skips, read-speed, report) want a machine that does nothing else; all other figures are the same in every run.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -34,13 +35,17 @@ part() {
         rate-control) bless rate_control a_flood_fits_its_link ;;
         keep-order) bless keep_order recordings_come_back_in_order ;;
         exact-times) bless exact_times come_back_with_the_documented_exactness ;;
+        read-speed)
+            host-harness/read_speed.sh --record "$record/read-speed.json"
+            EECVS_BLESS=1 cargo test --quiet -p host-harness --lib every_section_of_the_documents
+            ;;
         report) eecvs report -o "$record" --save README.md ;;
         instructions) firmware/instructions.sh --save ;;
         mcu-kernels) firmware/kernels.sh --save ;;
     esac
 }
 
-parts=(demo kernels rates skips rate-control keep-order exact-times report instructions mcu-kernels)
+parts=(demo kernels rates skips rate-control keep-order exact-times read-speed report instructions mcu-kernels)
 for name in "$@"; do
     if [[ " ${parts[*]} " != *" $name "* ]]; then
         echo "host-harness/record.sh: no part '$name'; there are: ${parts[*]}" >&2

@@ -26,8 +26,8 @@ use crate::study::set::SEED;
 pub struct RecordFile<R> {
     /// Of the program.
     pub version: String,
-    /// Of emulated scenes.
-    pub seed: u64,
+    /// Of emulated scenes, where the rows may be of such.
+    pub seed: Option<u64>,
     /// Processor, its threads and system: what times of a clock depend on.
     pub machine: String,
     /// UTC.

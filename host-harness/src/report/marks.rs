@@ -113,10 +113,16 @@ fn read(path: &Path) -> Result<String> {
     fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))
 }
 
+/// Where a document of the project is.
+#[cfg(test)]
+pub fn path_of_project(name: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(name)
+}
+
 /// A document of the project.
 #[cfg(test)]
 pub fn of_project(name: &str) -> String {
-    read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(name)).unwrap()
+    read(&path_of_project(name)).unwrap()
 }
 
 #[cfg(test)]

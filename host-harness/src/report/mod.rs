@@ -15,6 +15,7 @@ pub mod picture_backend;
 pub mod rate_chart;
 pub mod rate_control_table;
 pub mod rate_table;
+pub mod read_speed_table;
 pub mod sections;
 pub mod sheet;
 pub mod skip_table;

@@ -8,7 +8,7 @@ use super::marks::Marks;
 use super::study::tables;
 use super::{
     demo, exact_times_table, keep_order_table, kernel_table, rate_control_table, rate_table,
-    skip_table,
+    read_speed_table, skip_table,
 };
 use crate::cmd::report;
 use crate::record_file::{RecordFile, read};
@@ -89,6 +89,11 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
             exact_times_table::MARKS,
             whole(exact_times_table::document(&times), "exact-times-*")?,
         ),
+        section(
+            readme,
+            read_speed_table::MARKS,
+            read_speed_table::document(&read(folder, "read-speed")?.rows),
+        ),
         section(readme, report::MARKS, tables::document(&results)),
     ])
 }
@@ -100,7 +105,7 @@ mod tests {
     use super::*;
     use crate::bench::mcu::{self, Count, Part};
     use crate::bench::{Row, rate};
-    use crate::report::marks::of_project;
+    use crate::report::marks::{of_project, path_of_project};
 
     /// Sections of `tests/`, which compares them with their records in `firmware/`.
     const ELSEWHERE: [&str; 2] = ["instructions", "kernels"];
@@ -109,9 +114,16 @@ mod tests {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("record")
     }
 
+    /// With the variable `EECVS_BLESS` it writes the sections in place of comparing them.
     #[test]
     fn every_section_of_the_documents_is_of_its_record() {
         let sections = of_records(&folder()).unwrap();
+        if std::env::var_os("EECVS_BLESS").is_some() {
+            for section in &sections {
+                let document = path_of_project(section.document);
+                section.marks.write(&document, &section.text).unwrap();
+            }
+        }
         for section in &sections {
             let text = of_project(section.document);
             let name = section.marks.name;
@@ -190,6 +202,16 @@ mod tests {
         let least = won.iter().copied().fold(0.0, f64::max);
         let most = won.iter().copied().fold(1.0, f64::min);
         assert_eq!([percent(least), percent(most)], [1.0, 15.0]);
+    }
+
+    /// What the README says of reading in words.
+    #[test]
+    fn the_sentence_about_reading_is_of_its_record() {
+        let rows: Vec<read_speed_table::Row> = read(&folder(), "read-speed").unwrap().rows;
+        let readme = of_project("README.md");
+        assert!(readme.contains("No other library reads one of these files more quickly"));
+        assert!(rows.len() > 13);
+        assert_eq!(read_speed_table::slower(&rows), []);
     }
 
     /// What the README says of kernels in words.
