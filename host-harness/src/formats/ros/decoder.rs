@@ -15,7 +15,7 @@
 //! * `mono`: `time_base` + 32 bits of ns; x bits 32 to 47, y bits 48 to 62, polarity bit 63.
 //! * `EventArray`: the structure's time.
 //!
-//! Nanoseconds are rounded down to microseconds. [`super::seek`] says how a time is found.
+//! Nanoseconds are rounded down to microseconds. `seek.rs` says how a time is found.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 

@@ -2,7 +2,7 @@
 //!
 //! One file each: [`bag`] (ROS 1), [`db3`] and [`mcap`] (ROS 2), [`folder`] (a ROS 2 bag of several
 //! files). [`decoder`] turns messages of any of them into events and says what times mean;
-//! [`message`] knows the types of messages, [`seek`] finds a time. The first topic of events is read, in the order in which
+//! [`message`] knows the types of messages, `seek` finds a time. The first topic of events is read, in the order in which
 //! the file names topics; another one is named behind the file: `FILE.bag/dvs/right/events`. Messages
 //! come in the order of the file, which is that of their arrival.
 
