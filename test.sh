@@ -27,6 +27,9 @@ cd "$(dirname "$0")"
 # Features that are off by default but tested, in every build of the whole workspace alike.
 FEATURES=(--features host-harness/onnx,host-harness/db3)
 
+# eecvs-ros, whose dependencies take minutes, has a stage of its own.
+WORKSPACE=(--workspace --exclude eecvs-ros)
+
 # Notes what a stage leaves out.
 skip() { echo "skipped: $1"; echo "$1" >>"$SKIPPED"; }
 
@@ -64,9 +67,9 @@ lint() {
         cargo fmt --all --check --manifest-path firmware/Cargo.toml
     fi
     if component clippy clippy; then
-        cargo clippy --workspace --all-targets "${FEATURES[@]}" -- -D warnings
+        cargo clippy "${WORKSPACE[@]}" --all-targets "${FEATURES[@]}" -- -D warnings
     fi
-    RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
+    RUSTDOCFLAGS="-D warnings" cargo doc "${WORKSPACE[@]}" --no-deps --quiet
 }
 
 # What mocks a device for the real libusb, installed if that is possible.
@@ -90,7 +93,7 @@ unit() {
     emulator || true
     target thumbv7em-none-eabihf || true
     # The dev profile checks arithmetic overflow and debug assertions.
-    cargo test --workspace "${FEATURES[@]}"
+    cargo test "${WORKSPACE[@]}" "${FEATURES[@]}"
     # The bits must not depend on the profile.
     cargo test --release -p eecvs-tests --test golden --test wire_format
     host_instructions
@@ -120,7 +123,7 @@ metrics() {
         fi
     fi
     EECVS_PYTHON=$PWD/$folder/bin/python \
-        cargo test --workspace "${FEATURES[@]}" --test metrics_reference -- --nocapture
+        cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test metrics_reference -- --nocapture
 }
 
 # Each package is wanted, none is a must: a decoder that cannot be installed is left out, by its own line.
@@ -136,7 +139,7 @@ peers() {
     # One of its modules is used, which needs none of the rest.
     "$folder/bin/pip" install -q --no-deps tonic || skip "peers: pip cannot install tonic"
     EECVS_PYTHON=$PWD/$folder/bin/python \
-        cargo test --workspace "${FEATURES[@]}" --test formats_peers -- --nocapture
+        cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test formats_peers -- --nocapture
 }
 
 # The name of a browser that the page is opened in, as host-harness/tests/browser/mod.rs has them.
@@ -158,7 +161,7 @@ page() {
         fi
     fi
     # Named, it must run.
-    EECVS_BROWSER=$name cargo test --workspace "${FEATURES[@]}" --test report_page -- --nocapture
+    EECVS_BROWSER=$name cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test report_page -- --nocapture
 }
 
 # A target's core library, installed if rustup may.
@@ -170,6 +173,8 @@ target() {
 
 nostd() {
     local target check=check
+    # A folder of its own: in that of the other stages it would wait until they are built.
+    export CARGO_TARGET_DIR=target/nostd
     # Where it is there: it checks too, and what the lint stage does not see.
     ! component clippy clippy || check=clippy
     # A Cortex-M4F, and a core without atomics, FPU and DSP instructions.
@@ -212,13 +217,10 @@ firmware() {
                 --target thumbv7em-none-eabihf --target-dir firmware/target/clippy -- -D warnings
         done
     fi
-    # Of the whole workspace: of a part, the dependencies have other features and are built again.
-    cargo test --workspace "${FEATURES[@]}" --test firmware_image -- --nocapture
     for machine in netduinoplus2 mps2-an386 mps2-an500 microbit; do
         echo "golden vectors on $machine"
         qemu "$machine" golden
     done
-    ran unit || cargo test --workspace "${FEATURES[@]}" --test mcu
     firmware/instructions.sh --check
     firmware/kernels.sh --check
     # The first events of every recording; without a number, all of them.
@@ -227,6 +229,10 @@ firmware() {
     status=0
     qemu netduinoplus2 overflow >/dev/null || status=$?
     [ "$status" = 1 ] || { echo "a stack overflow ended with status $status"; return 1; }
+    # Last: until the unit stage is built, it waits. Of the whole workspace: of a part, the dependencies have
+    # other features and are built again.
+    ran unit || cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test mcu
+    cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test firmware_image -- --nocapture
 }
 
 usb() {
@@ -310,10 +316,9 @@ second=
 trap '[ -z "$second" ] || kill -- "-$second" 2>/dev/null || true; rm -rf "$STATE"' EXIT
 
 run() {
-    local started=$SECONDS
+    local TIMEFORMAT="=== $1 took %0R s, %0U s of the processors"
     echo "=== $1"
-    "$0" --stage "$1" || echo "$1" >>"$FAILED"
-    echo "=== $1 took $((SECONDS - started)) s"
+    time "$0" --stage "$1" || echo "$1" >>"$FAILED"
 }
 
 # The output of those that run beside others comes in one piece, at their end.

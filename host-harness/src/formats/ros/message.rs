@@ -10,6 +10,9 @@
 
 use super::fields::{Cursor, Fields, Serialisation};
 
+/// Where a message is damaged, and how.
+pub type Damage = (usize, String);
+
 /// A message's type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
@@ -143,6 +146,8 @@ pub struct Head {
     pub height: u32,
     /// The computer's time at the arrival, since 1970 in ns.
     pub stamp_ns: u64,
+    /// Number of an `EventPacket` among its publisher's; 0 of other types.
+    pub sequence: u64,
     /// The events, unread.
     pub content: Content,
 }
@@ -152,11 +157,7 @@ impl Head {
     ///
     /// # Errors
     /// The message is damaged, its encoding unknown: the position and what.
-    pub fn read(
-        bytes: &[u8],
-        kind: Kind,
-        serialisation: Serialisation,
-    ) -> Result<Self, (usize, String)> {
+    pub fn read(bytes: &[u8], kind: Kind, serialisation: Serialisation) -> Result<Self, Damage> {
         let mut fields = Fields::new(bytes, serialisation).map_err(|what| (0, what))?;
         let head = Self::fields(&mut fields, kind, serialisation);
         head.map_err(|what| (fields.cursor.at, what))
@@ -175,6 +176,7 @@ impl Head {
         let stamp_ns = u64::from(seconds) * 1_000_000_000 + u64::from(nanos);
         fields.sequence()?;
         let (height, width) = (fields.u32()?, fields.u32()?);
+        let mut sequence = 0;
         let content = match kind {
             Kind::EventArray => {
                 let left = fields.u32()?;
@@ -182,7 +184,7 @@ impl Head {
                 Content::Array { cursor, left }
             }
             Kind::EventPacket => {
-                fields.u64()?;
+                sequence = fields.u64()?;
                 let base_ns = fields.u64()?;
                 let encoding = Encoding::of(fields.string()?)?;
                 if fields.u8()? != 0 {
@@ -211,6 +213,7 @@ impl Head {
             width,
             height,
             stamp_ns,
+            sequence,
             content,
         })
     }

@@ -20,7 +20,6 @@ pub const TOPIC: &str = "/event_camera/events";
 pub const TYPE_ROS2: &str = "event_camera_msgs/msg/EventPacket";
 
 /// What ROS 2 knows the definition by: the SHA-256 of its description (REP 2016).
-#[cfg(feature = "db3")]
 pub const HASH_ROS2: &str =
     "RIHS01_d6fa176260b1f37e5a40845305315e150a0f18191241eb64f407442aa29844aa";
 

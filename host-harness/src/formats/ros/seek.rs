@@ -16,8 +16,9 @@
 
 use eecvs_nostd::{Event, Sensor};
 
-use super::decoder::{Messages, RosDecoder, VECTOR_BASE, VECTOR_X, VectorState};
+use super::decoder::{Messages, RosDecoder};
 use super::message::{Content, Encoding, Head};
+use super::message_events::{VECTOR_BASE, VECTOR_X, VectorState};
 use super::topics::Topics;
 use crate::formats::Skipped;
 use crate::formats::evt3::{
@@ -71,10 +72,7 @@ impl RosDecoder {
         let first = self.start_at(0);
         let place = self.last_before(t_us, places, first.as_ref()).unwrap_or(0);
         // As at the beginning, unless a place tells more.
-        self.content = None;
-        self.sought = true;
-        self.evt3 = WordDecoder::new(self.sensor, 0);
-        self.vectors = VectorState::default();
+        self.events.forget();
         let start = match place {
             0 => None,
             place => self.start_behind(place, first.as_ref()).ok().flatten(),
@@ -83,11 +81,11 @@ impl RosDecoder {
             self.messages.go(0, &mut self.topics)?;
             return Ok(true);
         };
-        self.begin(start.content);
+        self.events.begin(start.content);
         match start.state {
             State::Alone => {}
-            State::Evt3(words) => self.evt3 = words,
-            State::Vectors(words) => self.vectors = words,
+            State::Evt3(words) => self.events.evt3 = words,
+            State::Vectors(words) => self.events.vectors = words,
         }
         Ok(true)
     }
@@ -148,15 +146,15 @@ impl RosDecoder {
     fn start_at(&mut self, place: u64) -> Option<Start> {
         self.messages.go(place, &mut self.topics).ok()?;
         // What is passed here is not read.
-        let mut passed = Passed::new(self.sensor);
+        let mut passed = Passed::new(self.events.sensor());
         loop {
             let (messages, topics) = (self.messages.as_mut(), &mut self.topics);
-            let head = next(messages, &mut self.message, topics)?;
+            let head = next(messages, &mut self.events.message, topics)?;
             if (head.width, head.height) != self.told {
                 return None;
             }
             if !head.content.is_empty()
-                && let Some(start) = passed.take(&self.message, &head)?
+                && let Some(start) = passed.take(&self.events.message, &head)?
             {
                 return Some(start);
             }

@@ -48,6 +48,11 @@ impl Evt3Stream {
         }
     }
 
+    /// Has the next event's words say everything, so that whoever has not read those before can read them.
+    pub fn say_all(&mut self) {
+        self.block = None;
+    }
+
     fn time(&mut self, t_us: u64, bytes: &mut Vec<u8>) -> Result<()> {
         let high = t_us >> TIME_BITS;
         if self.block != Some(t_us >> REPEAT_BITS) {

@@ -1,0 +1,239 @@
+//! The `eecvs-ros` command: a node in a process, or several.
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::thread;
+
+use anyhow::{Context as _, Result, bail};
+use clap::builder::ValueParser;
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
+use host_harness::cmd::output::end;
+use usb_bridge::stop::Stop;
+
+use crate::arguments::{NodeArguments, RosArguments};
+use crate::node::{Context, NAMESPACE, decode, density, emulate, encode};
+use crate::operator::{Operator, Operators};
+use crate::transport::Transport;
+use crate::transport::dds::Dds;
+use crate::transport::local::Local;
+
+/// ROS 2 nodes around the encoder; flags may also be given as parameters, behind --ros-args: -p NAME:=VALUE,
+/// -r FROM:=TO, --params-file FILE
+#[derive(Debug, Parser)]
+#[command(
+    name = "eecvs-ros",
+    version,
+    arg_required_else_help = true,
+    args_override_self = true
+)]
+struct EecvsRos {
+    #[command(flatten)]
+    network: NetworkOptions,
+
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What carries messages.
+#[derive(Debug, Clone, Args)]
+struct NetworkOptions {
+    /// What carries messages
+    #[arg(long, value_enum, default_value = "dds", global = true)]
+    transport: Name,
+
+    /// Domain; nodes of different domains do not see each other [default: the variable ROS_DOMAIN_ID, or 0]
+    #[arg(long, value_name = "N", global = true, value_parser = clap::value_parser!(u16).range(0..=232))]
+    domain_id: Option<u16>,
+
+    /// Stay on this computer [default: where ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST, or ROS_LOCALHOST_ONLY 1]
+    #[arg(long, global = true)]
+    loopback: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Name {
+    /// As ROS 2 does without further settings
+    Dds,
+}
+
+#[derive(Debug, Clone, Subcommand)]
+#[command(args_override_self = true)]
+enum Command {
+    Emulate(emulate::Emulate),
+    Encode(encode::Encode),
+    Decode(decode::Decode),
+    Density(density::Monitor),
+    Compose(Compose),
+}
+
+/// Run several nodes in one process, where messages between them pass through memory
+#[derive(Debug, Clone, Args)]
+struct Compose {
+    /// Nodes, by their commands; flags are given as parameters: --ros-args -p encode:window_us:=5000
+    #[arg(value_name = "NODE", required = true, value_parser = ValueParser::string())]
+    nodes: Vec<String>,
+}
+
+/// The command, with operators beside ours.
+pub fn run(operators: Vec<Box<dyn Operator>>) -> ExitCode {
+    let operators = Arc::new(Operators::new(operators));
+    end("eecvs-ros", start(&operators))
+}
+
+fn start(operators: &Arc<Operators>) -> Result<()> {
+    let (ros, rest) = RosArguments::split(std::env::args())?;
+    let matches = EecvsRos::command().try_get_matches_from(&rest);
+    // The node is known before what its parameters say is.
+    let line = match matches.and_then(|matches| EecvsRos::from_arg_matches(&matches)) {
+        Ok(line) => line,
+        Err(error) => error.exit(),
+    };
+    let stop = Stop::on_signals()?;
+    if let Command::Compose(compose) = line.command {
+        return composed(&compose, &line.network, &ros, operators, &stop);
+    }
+    let name = line.command.name();
+    let arguments = ros.node(NAMESPACE, name)?;
+    warn_of_unknown(&ros, &[&arguments]);
+    let (line, parameters) = parse(rest, &arguments)?;
+    let transport = line.network.open()?;
+    let context = Context::new(transport.as_ref(), arguments, &parameters, stop)?;
+    line.command.run(context, operators)
+}
+
+/// The command line with a node's parameters as flags in front of its own, and all of its flags as parameters.
+fn parse(mut line: Vec<String>, node: &NodeArguments) -> Result<(EecvsRos, Vec<(String, String)>)> {
+    let names: Vec<String> = EecvsRos::command()
+        .get_subcommands()
+        .map(|command| command.get_name().to_owned())
+        .collect();
+    let at = line.iter().position(|word| names.contains(word));
+    let at = at.map_or(line.len(), |at| at + 1);
+    line.splice(at..at, node.flags.iter().cloned());
+    let mut matches = match EecvsRos::command().try_get_matches_from(&line) {
+        Ok(matches) => matches,
+        Err(error) => error.exit(),
+    };
+    let parameters = match matches.subcommand() {
+        Some((_, matches)) => matches
+            .ids()
+            .filter_map(|id| {
+                let values = matches.get_raw(id.as_str())?;
+                let values: Vec<_> = values.map(std::ffi::OsStr::to_string_lossy).collect();
+                Some((id.to_string(), values.join(" ")))
+            })
+            .collect(),
+        None => Vec::new(),
+    };
+    Ok((EecvsRos::from_arg_matches_mut(&mut matches)?, parameters))
+}
+
+fn warn_of_unknown(ros: &RosArguments, nodes: &[&NodeArguments]) {
+    let names: Vec<_> = nodes.iter().map(|node| node.name.clone()).collect();
+    for unknown in ros.unknown(&names) {
+        eprintln!("eecvs-ros: --ros-args: parameters of {unknown}, which does not run here");
+    }
+}
+
+fn composed(
+    compose: &Compose,
+    network: &NetworkOptions,
+    ros: &RosArguments,
+    operators: &Arc<Operators>,
+    stop: &Stop,
+) -> Result<()> {
+    let transport = Local::before(network.open()?);
+    let mut arguments = Vec::new();
+    for name in &compose.nodes {
+        arguments.push(ros.node(NAMESPACE, name)?);
+    }
+    warn_of_unknown(ros, &arguments.iter().collect::<Vec<_>>());
+    let mut nodes = Vec::new();
+    for (name, arguments) in compose.nodes.iter().zip(arguments) {
+        let line = vec!["eecvs-ros".to_owned(), name.clone()];
+        let (line, parameters) = parse(line, &arguments)?;
+        if matches!(line.command, Command::Compose(_)) {
+            bail!("compose: {name} is no node");
+        }
+        for topic in line.command.publishes() {
+            transport.expect(arguments.topic(topic)?);
+        }
+        let context = Context::new(&transport, arguments, &parameters, stop.clone())?;
+        nodes.push((name.clone(), line.command, context));
+    }
+    let mut threads = Vec::new();
+    for (name, command, context) in nodes {
+        let operators = Arc::clone(operators);
+        let thread = thread::Builder::new()
+            .name(name.clone())
+            .spawn(move || command.run(context, &operators))
+            .context("a thread of a node")?;
+        threads.push((name, thread));
+    }
+    let mut result = Ok(());
+    for (name, thread) in threads {
+        let ended = match thread.join() {
+            Ok(ended) => ended.context(name),
+            Err(_) => bail!("{name}: panicked: please report this"),
+        };
+        if ended.is_err() {
+            // The others do not go on without it.
+            stop.ask();
+        }
+        result = result.and(ended);
+    }
+    result
+}
+
+impl NetworkOptions {
+    fn open(&self) -> Result<Arc<dyn Transport>> {
+        let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+        let domain_id = match (self.domain_id, variable("ROS_DOMAIN_ID")) {
+            (Some(domain_id), _) => domain_id,
+            (None, None) => 0,
+            (None, Some(text)) => {
+                let domain_id = text.parse().ok().filter(|id| (0..=232).contains(id));
+                domain_id.with_context(|| format!("ROS_DOMAIN_ID is {text:?}: give 0 to 232"))?
+            }
+        };
+        let loopback = self.loopback
+            || variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() == Some("LOCALHOST")
+            || variable("ROS_LOCALHOST_ONLY").as_deref() == Some("1");
+        match self.transport {
+            Name::Dds => Ok(Arc::new(Dds::join(domain_id, loopback)?)),
+        }
+    }
+}
+
+impl Command {
+    const fn name(&self) -> &'static str {
+        match self {
+            Self::Emulate(_) => "emulate",
+            Self::Encode(_) => "encode",
+            Self::Decode(_) => "decode",
+            Self::Density(_) => "density",
+            Self::Compose(_) => "compose",
+        }
+    }
+
+    /// Topics that it publishes.
+    const fn publishes(&self) -> &'static [&'static str] {
+        match self {
+            Self::Emulate(_) => emulate::PUBLISHES,
+            Self::Encode(_) => encode::PUBLISHES,
+            Self::Decode(_) => decode::PUBLISHES,
+            Self::Density(_) => density::PUBLISHES,
+            Self::Compose(_) => &[],
+        }
+    }
+
+    fn run(self, context: Context, operators: &Operators) -> Result<()> {
+        match self {
+            Self::Emulate(node) => node.run(context),
+            Self::Encode(node) => node.run(context, operators),
+            Self::Decode(node) => node.run(context, operators),
+            Self::Density(node) => node.run(context),
+            Self::Compose(_) => bail!("compose is no node"),
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! The `eecvs-ros` command.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    eecvs_ros::run(Vec::new())
+}

@@ -1,0 +1,109 @@
+//! Names of nodes and topics, as ROS 2 resolves them.
+//!
+//! `events` is relative to the node's namespace, `~/events` to the node, `/events` absolute; the rules of
+//! `--remap` come after that.
+
+use anyhow::{Result, ensure};
+
+/// A node's name and namespace.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NodeName {
+    /// `/`, or `/` and tokens.
+    pub namespace: String,
+    /// One token.
+    pub base: String,
+}
+
+impl NodeName {
+    /// Checks both; a namespace without its `/` gets it.
+    ///
+    /// # Errors
+    /// A name that ROS 2 does not allow.
+    pub fn new(namespace: &str, base: &str) -> Result<Self> {
+        check_token(base)?;
+        let tokens = namespace.trim_matches('/');
+        let namespace = format!("/{tokens}");
+        if !tokens.is_empty() {
+            check_tokens(&namespace)?;
+        }
+        Ok(Self {
+            namespace,
+            base: base.to_owned(),
+        })
+    }
+
+    /// Namespace and name: `/event_camera/encode`.
+    #[must_use]
+    pub fn full(&self) -> String {
+        join(&self.namespace, &self.base)
+    }
+
+    /// The absolute name of a topic.
+    ///
+    /// # Errors
+    /// A name that ROS 2 does not allow.
+    pub fn resolve(&self, topic: &str) -> Result<String> {
+        let absolute = if let Some(rest) = topic.strip_prefix("~/") {
+            join(&self.full(), rest)
+        } else if topic.starts_with('/') {
+            topic.to_owned()
+        } else {
+            join(&self.namespace, topic)
+        };
+        check_tokens(&absolute)?;
+        Ok(absolute)
+    }
+}
+
+fn join(namespace: &str, name: &str) -> String {
+    format!("{}/{name}", namespace.trim_end_matches('/'))
+}
+
+fn check_tokens(absolute: &str) -> Result<()> {
+    let tokens = absolute.strip_prefix('/').unwrap_or(absolute);
+    tokens.split('/').try_for_each(check_token)
+}
+
+/// Letters, digits and `_`, no digit first.
+fn check_token(token: &str) -> Result<()> {
+    let is_good = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    let is_digit_first = token.starts_with(|c: char| c.is_ascii_digit());
+    ensure!(
+        !token.is_empty() && token.chars().all(is_good) && !is_digit_first,
+        "{token:?} is no part of a name of ROS 2: letters, digits and _, no digit first"
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_resolve_as_in_ros() {
+        let root = NodeName::new("/", "encode").unwrap();
+        let inside = NodeName::new("robot/left", "encode").unwrap();
+        assert_eq!(root.full(), "/encode");
+        assert_eq!(inside.full(), "/robot/left/encode");
+        for (name, at_root, inside_of) in [
+            ("events", "/events", "/robot/left/events"),
+            ("a/b", "/a/b", "/robot/left/a/b"),
+            ("~/events", "/encode/events", "/robot/left/encode/events"),
+            ("/events", "/events", "/events"),
+        ] {
+            assert_eq!(root.resolve(name).unwrap(), at_root);
+            assert_eq!(inside.resolve(name).unwrap(), inside_of);
+        }
+    }
+
+    #[test]
+    fn bad_names_are_refused() {
+        let node = NodeName::new("/", "encode").unwrap();
+        for bad in ["", "a//b", "/", "a b", "9a", "a/9", "~", "ä", "a/"] {
+            assert!(node.resolve(bad).is_err(), "{bad}");
+        }
+        for (namespace, base) in [("/a b", "c"), ("/a", "b/c"), ("/a", ""), ("/a//b", "c")] {
+            assert!(NodeName::new(namespace, base).is_err());
+        }
+    }
+}

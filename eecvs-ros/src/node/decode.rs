@@ -1,0 +1,407 @@
+//! `decode`: frames to messages of events, to volumes, and to pictures.
+
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use clap::{Args, ValueEnum};
+use eecvs_nostd::{Event, Polarity};
+use host_harness::decode::{FrameCounts, WindowEvents};
+use host_harness::reconstruct::bins::Bins;
+use host_harness::reconstruct::events::Finder;
+use host_harness::reconstruct::{DecodedWindow, volume};
+
+use super::emulate::PacketOptions;
+use super::{Context, Now, QosOptions, Sender, receive};
+use crate::message::{EventPacket, Frame, Header, Image, Time, Volume};
+use crate::operator::{Decoded, Decoder, Operators};
+use crate::sequence::Sequence;
+
+/// Topics that it publishes.
+pub const PUBLISHES: &[&str] = &["decoded/events", "volume", "image"];
+
+/// Decode frames: events on `decoded/events`, volumes on `volume`, pictures on `image`; what nobody has
+/// subscribed to is not made
+#[derive(Debug, Clone, Args)]
+pub struct Decode {
+    /// How event times are found in the coefficients of the DCT and the DTFT (mode transform)
+    #[arg(long, value_enum, value_name = "HOW", default_value = "exact")]
+    events: Finder,
+
+    /// Volumes of B bins in time in place of coefficients
+    #[arg(long, value_name = "B", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    bins: Option<u16>,
+
+    /// Bytes of a message's values, at the most: a larger volume comes in several; 0: always in one
+    #[arg(long, value_name = "BYTES", default_value_t = 98_000)]
+    volume_bytes: u32,
+
+    /// What pictures are
+    #[arg(long, value_enum, default_value = "mono8")]
+    image: Look,
+
+    /// Pictures per second, at the most
+    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    image_hz: f32,
+
+    /// End after so many seconds without frames; of none at all, never
+    #[arg(long, value_name = "S")]
+    idle_s: Option<u32>,
+
+    #[command(flatten)]
+    packets: PacketOptions,
+
+    #[command(flatten)]
+    qos: QosOptions,
+}
+
+/// What a picture is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Look {
+    /// A byte per pixel: ON white, OFF black
+    Mono8,
+    /// Three: ON red, OFF blue
+    Rgb8,
+}
+
+/// Longest wait between two looks at whether to stop.
+const WAIT: Duration = Duration::from_millis(20);
+
+/// What came of the frames.
+#[derive(Debug, Default)]
+struct Account {
+    frames: u64,
+    sequence: Sequence,
+    refused: u64,
+    why_refused: Option<String>,
+    windows: u64,
+    events: u64,
+}
+
+/// What goes out.
+struct Outputs {
+    events: Sender<EventPacket>,
+    volume: Sender<Volume>,
+    image: Sender<Image>,
+}
+
+impl Decode {
+    /// Decodes until it is to stop.
+    ///
+    /// # Errors
+    /// The transport.
+    pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
+        let qos = self.qos.qos();
+        let mut subscription = context.subscription::<Frame>("frames", qos)?;
+        let mut outputs = Outputs {
+            events: context.publisher("decoded/events", qos)?,
+            volume: context.publisher("volume", qos)?,
+            image: context.publisher("image", qos)?,
+        };
+        let mut making = Making::new(&self);
+        let mut decoder: Option<(String, Box<dyn Decoder>)> = None;
+        let mut account = Account::default();
+        let mut tell = Now::every(Duration::from_secs(5));
+        let mut told = (0, 0);
+        let mut latest = Instant::now();
+        let idle = self.idle_s.map(|s| Duration::from_secs(s.into()));
+        let mut ready: Vec<Decoded> = Vec::new();
+        while !context.stop.is_asked() {
+            let is_idle = account.frames > 0 && idle.is_some_and(|idle| latest.elapsed() >= idle);
+            if is_idle {
+                break;
+            }
+            let Some(frame) = receive::<Frame>(subscription.as_mut(), WAIT)? else {
+                continue;
+            };
+            latest = Instant::now();
+            account.frames += 1;
+            match frame {
+                Err(malformed) => account.refuse(malformed.to_string()),
+                Ok(frame) => {
+                    account.sequence.follow(frame.seq);
+                    match Self::decode(&frame, operators, &mut decoder, &mut ready) {
+                        Err(error) => account.refuse(format!("{error:#}")),
+                        Ok(()) => {
+                            for decoded in ready.drain(..) {
+                                account.windows += 1;
+                                account.events +=
+                                    making.window(decoded, &frame.header, &mut outputs)?;
+                            }
+                        }
+                    }
+                }
+            }
+            if tell.is_due() {
+                account.tell(&context, &mut told);
+            }
+        }
+        account.tell(&context, &mut told);
+        let counts = decoder.map_or_else(FrameCounts::default, |(_, decoder)| decoder.counts());
+        context.say(&account.line(&counts, &outputs));
+        Ok(())
+    }
+
+    /// Decodes a frame by the operator that it names.
+    fn decode(
+        frame: &Frame,
+        operators: &Operators,
+        decoder: &mut Option<(String, Box<dyn Decoder>)>,
+        ready: &mut Vec<Decoded>,
+    ) -> Result<()> {
+        let is_other = decoder
+            .as_ref()
+            .is_none_or(|(name, _)| *name != frame.operator_name);
+        if is_other {
+            let Some(operator) = operators.find(&frame.operator_name) else {
+                anyhow::bail!(
+                    "operator {:?} is not known: {}",
+                    frame.operator_name,
+                    operators.names()
+                );
+            };
+            *decoder = Some((frame.operator_name.clone(), operator.decoder()));
+        }
+        match decoder {
+            Some((_, decoder)) => decoder.take(frame, &mut |window| ready.push(window)),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Account {
+    fn refuse(&mut self, why: String) {
+        self.refused += 1;
+        self.why_refused = Some(why);
+    }
+
+    fn tell(&self, context: &Context, told: &mut (u64, u64)) {
+        if self.sequence.lost > told.0 {
+            context.say(&format!("{} frames have not come", self.sequence.lost));
+        }
+        if self.refused > told.1 {
+            let why = self.why_refused.as_deref().unwrap_or_default();
+            context.say(&format!("{} frames were left out: {why}", self.refused));
+        }
+        *told = (self.sequence.lost, self.refused);
+    }
+
+    fn line(&self, counts: &FrameCounts, outputs: &Outputs) -> String {
+        format!(
+            "{} events in {} windows of {} frames ({} lost, {} left out); at the encoder {} late, {} filtered, {} dropped, \
+             {} thinned; sent {} messages of events, {} of volumes, {} pictures",
+            self.events,
+            self.windows,
+            self.frames,
+            self.sequence.lost,
+            self.refused,
+            counts.events_late,
+            counts.events_filtered,
+            counts.events_dropped,
+            counts.events_thinned,
+            outputs.events.sent().messages,
+            outputs.volume.sent().messages,
+            outputs.image.sent().messages
+        )
+    }
+}
+
+/// Makes messages of windows.
+struct Making<'o> {
+    options: &'o Decode,
+    finder: WindowEvents,
+    packer: Option<((u32, u32), crate::packing::Packer)>,
+    volume_seq: u64,
+    picture: Option<Picture>,
+}
+
+impl<'o> Making<'o> {
+    fn new(options: &'o Decode) -> Self {
+        Self {
+            options,
+            finder: WindowEvents::new(options.events),
+            packer: None,
+            volume_seq: 0,
+            picture: None,
+        }
+    }
+
+    /// Publishes a window, whose last frame has this header; the number of its events.
+    fn window(&mut self, decoded: Decoded, header: &Header, outputs: &mut Outputs) -> Result<u64> {
+        let (sensor, events) = match decoded {
+            Decoded::Window(mut window) => {
+                if outputs.volume.subscribers() > 0 {
+                    self.volume(&window, header, &mut outputs.volume)?;
+                }
+                self.finder.fill(&mut window);
+                (window.header.sensor, window.events)
+            }
+            Decoded::Events(span, events) => (span.sensor, events),
+        };
+        if outputs.image.subscribers() > 0 {
+            let picture = self
+                .picture
+                .get_or_insert_with(|| Picture::new(self.options));
+            picture.add(sensor, &events);
+            if let Some(image) = picture.take(header) {
+                outputs.image.send(&image)?;
+            }
+        }
+        if outputs.events.subscribers() > 0 {
+            let size = (u32::from(sensor.width), u32::from(sensor.height));
+            let packer = match &mut self.packer {
+                Some((of, packer)) if *of == size => packer,
+                other => &mut other.insert((size, self.options.packets.packer(sensor))).1,
+            };
+            let sender = &mut outputs.events;
+            packer.push(&events, |packet, _| sender.send(packet))?;
+            packer.flush(&mut |packet: &EventPacket, _| sender.send(packet))?;
+        }
+        Ok(events.len() as u64)
+    }
+
+    /// Publishes a window's volume in as many messages as it takes.
+    fn volume(
+        &mut self,
+        window: &DecodedWindow,
+        header: &Header,
+        sender: &mut Sender<Volume>,
+    ) -> Result<()> {
+        let window = &window.with_pixels()?;
+        let sensor = window.header.sensor;
+        let (height, width) = (usize::from(sensor.height), usize::from(sensor.width));
+        let bins = self.options.bins.map(|bins| {
+            let header = &window.header;
+            (
+                usize::from(bins),
+                Bins::new(header.transform, header.grid, bins.into()),
+            )
+        });
+        let channels = bins.as_ref().map_or(window.channels(), |(bins, _)| *bins);
+        let area = height * width;
+        let mut message = Volume {
+            header: header.clone(),
+            t0_us: window.header.t0_us,
+            duration_us: window.header.duration_us,
+            channels: channels as u32,
+            height: height as u32,
+            width: width as u32,
+            layout: match bins {
+                Some(_) => "bins".to_owned(),
+                None => window.header.transform.name().to_owned(),
+            },
+            ..Volume::default()
+        };
+        let most = match self.options.volume_bytes as usize / size_of::<f32>() {
+            0 => channels * area,
+            values => values,
+        };
+        let mut plane = vec![0.0; area];
+        let mut send = |message: &mut Volume| {
+            message.seq = self.volume_seq;
+            self.volume_seq += 1;
+            let sent = sender.send(message);
+            message.offset += message.values.len() as u64;
+            message.values.clear();
+            sent
+        };
+        for channel in 0..channels {
+            match &bins {
+                Some((_, bins)) => bins.plane(window, channel, &mut plane),
+                None => volume::plane(window, channel, &mut plane),
+            }
+            let mut rest = plane.as_slice();
+            while !rest.is_empty() {
+                let room = most - message.values.len();
+                let (now, later) = rest.split_at(room.min(rest.len()));
+                message.values.extend_from_slice(now);
+                if message.values.len() == most {
+                    send(&mut message)?;
+                }
+                rest = later;
+            }
+        }
+        if !message.values.is_empty() {
+            send(&mut message)?;
+        }
+        Ok(())
+    }
+}
+
+/// The picture that is being drawn.
+struct Picture {
+    look: Look,
+    every: Duration,
+    sent: Option<Instant>,
+    image: Image,
+}
+
+impl Picture {
+    fn new(options: &Decode) -> Self {
+        let every = Duration::try_from_secs_f32(1.0 / options.image_hz.max(0.001));
+        Self {
+            look: options.image,
+            every: every.unwrap_or_default(),
+            sent: None,
+            image: Image::default(),
+        }
+    }
+
+    fn add(&mut self, sensor: eecvs_nostd::Sensor, events: &[Event]) {
+        let (height, width) = (u32::from(sensor.height), u32::from(sensor.width));
+        let (encoding, bytes) = match self.look {
+            Look::Mono8 => ("mono8", 1),
+            Look::Rgb8 => ("rgb8", 3),
+        };
+        if (self.image.height, self.image.width) != (height, width) {
+            self.image = Image {
+                height,
+                width,
+                encoding: encoding.to_owned(),
+                step: width * bytes,
+                data: vec![self.blank(); (height * width * bytes) as usize],
+                ..Image::default()
+            };
+        }
+        for event in events {
+            let at = (u32::from(event.y) * width + u32::from(event.x)) * bytes;
+            let is_on = event.polarity == Polarity::On;
+            let colour: &[u8] = match (self.look, is_on) {
+                (Look::Mono8, true) => &[255],
+                (Look::Mono8, false) => &[0],
+                (Look::Rgb8, true) => &[220, 40, 40],
+                (Look::Rgb8, false) => &[40, 80, 220],
+            };
+            let at = at as usize;
+            if let Some(pixel) = self.image.data.get_mut(at..at + colour.len()) {
+                pixel.copy_from_slice(colour);
+            }
+        }
+    }
+
+    const fn blank(&self) -> u8 {
+        match self.look {
+            Look::Mono8 => 128,
+            Look::Rgb8 => 255,
+        }
+    }
+
+    /// The picture, where it is time for one; the next one begins.
+    fn take(&mut self, header: &Header) -> Option<Image> {
+        if self.sent.is_some_and(|sent| sent.elapsed() < self.every) {
+            return None;
+        }
+        self.sent = Some(Instant::now());
+        let mut image = self.image.clone();
+        let blank = self.blank();
+        self.image.data.fill(blank);
+        image.header = Header {
+            stamp: if header.stamp == Time::default() {
+                Time::now()
+            } else {
+                header.stamp
+            },
+            frame_id: header.frame_id.clone(),
+        };
+        Some(image)
+    }
+}

@@ -1,0 +1,263 @@
+//! `emulate`: a scene or a recording as a driver would publish it.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+use eecvs_nostd::{Event, Sensor};
+use host_harness::cmd::options::SizeOptions;
+use host_harness::formats::{self, EventReader, Pause};
+use host_harness::scene::{Preset, SceneConfig, emulate};
+use usb_bridge::peripheral::stream::Pace;
+
+use super::{Context, QosOptions, Sender};
+use crate::message::EventPacket;
+use crate::packing::{Encoding, Packer, PacketLimits};
+
+/// Topics that it publishes.
+pub const PUBLISHES: &[&str] = &["events"];
+
+/// Publish a scene or a recording as a camera's driver does: event_camera_msgs/msg/EventPacket on `events`
+#[derive(Debug, Clone, Args)]
+pub struct Emulate {
+    /// Scene, as `eecvs emulate --list` shows them
+    #[arg(long, value_enum, default_value = "indoor-flying")]
+    scene: Preset,
+
+    /// The same seed gives the same events on every machine
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
+    /// Duration of the scene in microseconds [default: 1000000]
+    #[arg(long, value_name = "D")]
+    duration_us: Option<u64>,
+
+    /// A recording in place of the scene
+    #[arg(long, value_name = "FILE")]
+    recording: Option<PathBuf>,
+
+    #[command(flatten)]
+    size: SizeOptions,
+
+    /// Pace: real (as recorded), max (as fast as possible), N events per second, or Fx (F times as fast as recorded)
+    #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
+    rate: Pace,
+
+    /// Begin anew at the end, with times that go on
+    #[arg(long)]
+    repeat: bool,
+
+    /// Wait at most so many seconds for the first subscriber, so that it gets the first events
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    wait_s: u32,
+
+    #[command(flatten)]
+    packets: PacketOptions,
+
+    #[command(flatten)]
+    qos: QosOptions,
+}
+
+/// How events are packed into messages.
+#[derive(Debug, Clone, Args)]
+pub struct PacketOptions {
+    /// How events are packed
+    #[arg(long, value_enum, default_value = "libcaer")]
+    encoding: Encoding,
+
+    /// Time that a message spans, in microseconds
+    #[arg(long, value_name = "T", default_value_t = 1000)]
+    packet_us: u32,
+
+    /// Bytes of a message's events, at the most: larger messages get lost on their way
+    #[arg(long, value_name = "BYTES", default_value_t = 98_000,
+          value_parser = clap::value_parser!(u32).range(64..=100_000_000))]
+    packet_bytes: u32,
+
+    /// Name of the sensor in the headers
+    #[arg(long, value_name = "NAME", default_value = "event_camera")]
+    frame_id: String,
+}
+
+impl PacketOptions {
+    /// What packs the events of a sensor.
+    #[must_use]
+    pub fn packer(&self, sensor: Sensor) -> Packer {
+        let limits = PacketLimits::of(
+            self.encoding,
+            self.packet_bytes as usize,
+            self.packet_us.into(),
+        );
+        Packer::new(sensor, self.encoding, limits, &self.frame_id)
+    }
+}
+
+/// What was published.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Published {
+    events: u64,
+    /// Longest time for which events were due and not published, in microseconds.
+    late_us: u64,
+}
+
+impl Emulate {
+    /// Publishes until the end, or until it is to stop.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, or the transport.
+    pub fn run(self, mut context: Context) -> Result<()> {
+        let mut sender = context.publisher::<EventPacket>("events", self.qos.qos())?;
+        let (sensor, _) = self.open().map(|reader| (reader.sensor(), ()))?;
+        context.wait_for_subscriber(&sender, Duration::from_secs(self.wait_s.into()));
+        let mut packer = self.packets.packer(sensor);
+        let mut pacer = Pacer::new(self.rate);
+        let mut published = Published::default();
+        let mut next_us = None;
+        while !context.stop.is_asked() {
+            let mut reader = self.open()?;
+            let shifted = next_us;
+            let played = self.play(
+                &context,
+                reader.as_mut(),
+                shifted,
+                &mut pacer,
+                &mut packer,
+                &mut sender,
+                &mut published,
+            )?;
+            match played {
+                Some(last_us) if self.repeat => next_us = Some(last_us + 1),
+                _ => break,
+            }
+        }
+        packer.flush(&mut |packet: &EventPacket, _| sender.send(packet))?;
+        let sent = sender.sent();
+        context.say(&format!(
+            "{} events in {} messages of {} bytes, {} us late at the most",
+            published.events, sent.messages, sent.bytes, published.late_us
+        ));
+        Ok(())
+    }
+
+    fn open(&self) -> Result<Box<dyn EventReader>> {
+        match &self.recording {
+            Some(path) => formats::open(path, self.size.sensor()),
+            None => {
+                let mut config = SceneConfig::new(self.scene, self.seed);
+                config.sensor = self.size.sensor().unwrap_or(config.sensor);
+                config.duration_us = self.duration_us.unwrap_or(config.duration_us);
+                Ok(Box::new(emulate(config)?))
+            }
+        }
+    }
+
+    /// Plays from the start to the end; the latest time that was published. Of a repetition, `start_us` is the time
+    /// of its first event.
+    #[allow(clippy::too_many_arguments)]
+    fn play(
+        &self,
+        context: &Context,
+        reader: &mut dyn EventReader,
+        start_us: Option<u64>,
+        pacer: &mut Pacer,
+        packer: &mut Packer,
+        sender: &mut Sender<EventPacket>,
+        published: &mut Published,
+    ) -> Result<Option<u64>> {
+        let mut events: Vec<Event> = Vec::new();
+        let mut shift_us = None;
+        let mut last_us = None;
+        loop {
+            events.clear();
+            if reader.read(&mut events)? == 0 && reader.pause() == Pause::Ended {
+                return Ok(last_us);
+            }
+            if let Some(first) = events.first() {
+                let shift = *shift_us.get_or_insert_with(|| {
+                    start_us.map_or(0, |start_us| start_us.wrapping_sub(first.t_us))
+                });
+                for event in &mut events {
+                    event.t_us = event.t_us.wrapping_add(shift);
+                }
+            }
+            let mut rest = events.as_slice();
+            while let Some(first) = rest.first() {
+                if context.stop.is_asked() {
+                    return Ok(last_us);
+                }
+                // What is published at once: what a message spans.
+                let span_us = u64::from(self.packets.packet_us.max(1));
+                let end_us = (first.t_us / span_us + 1).saturating_mul(span_us);
+                let count = rest.iter().take_while(|event| event.t_us < end_us).count();
+                let (now, later) = rest.split_at(count.max(1));
+                let due_us = now.last().map_or(0, |event| event.t_us);
+                let late_us =
+                    pacer.wait(due_us, published.events + now.len() as u64, &context.stop);
+                published.late_us = published.late_us.max(late_us);
+                packer.push(now, |packet, _| sender.send(packet))?;
+                published.events += now.len() as u64;
+                last_us = last_us.max(Some(due_us));
+                // Of one message's time, more events may stand in the next batch.
+                if !later.is_empty() {
+                    packer.flush(&mut |packet: &EventPacket, _| sender.send(packet))?;
+                }
+                rest = later;
+            }
+        }
+    }
+}
+
+/// Waits until events are due.
+pub struct Pacer {
+    pace: Pace,
+    start: Option<(Instant, u64)>,
+}
+
+/// Longest sleep between two looks at whether to stop.
+const LOOK: Duration = Duration::from_millis(50);
+
+impl Pacer {
+    /// Time begins with the first event.
+    #[must_use]
+    pub const fn new(pace: Pace) -> Self {
+        Self { pace, start: None }
+    }
+
+    /// Waits until an event of time `t_us`, the `count`th, is due; returns how late that is, in microseconds.
+    pub fn wait(&mut self, t_us: u64, count: u64, stop: &usb_bridge::stop::Stop) -> u64 {
+        let (at, first_us) = *self.start.get_or_insert_with(|| (Instant::now(), t_us));
+        let due_s = match self.pace {
+            Pace::Max => return 0,
+            Pace::Recorded(factor) => t_us.saturating_sub(first_us) as f64 * 1e-6 / factor,
+            Pace::Rate(per_second) => count as f64 / per_second,
+        };
+        let Some(due) = Duration::try_from_secs_f64(due_s)
+            .ok()
+            .and_then(|due| at.checked_add(due))
+        else {
+            return 0;
+        };
+        loop {
+            let left = due.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                let late = Instant::now().saturating_duration_since(due);
+                return u64::try_from(late.as_micros()).unwrap_or(u64::MAX);
+            }
+            if stop.is_asked() {
+                return 0;
+            }
+            std::thread::sleep(left.min(LOOK));
+        }
+    }
+}
+
+impl Emulate {
+    /// Whether there is anything to publish, before a node is announced.
+    ///
+    /// # Errors
+    /// A recording that cannot be read.
+    pub fn check(&self) -> Result<()> {
+        self.open().map(drop).context("nothing to emulate")
+    }
+}

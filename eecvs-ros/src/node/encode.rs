@@ -1,0 +1,142 @@
+//! `encode`: messages of events to frames.
+
+use std::time::Duration;
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+use eecvs_nostd::OUTPUT_BYTES_MIN;
+use host_harness::cmd::encode::CodecOptions;
+use host_harness::encode::{EncodeSummary, Limits, WINDOW_EVENTS};
+
+use super::{Context, Now, QosOptions};
+use crate::message::{EventPacket, Frame, Header};
+use crate::operator::{Job, Operators};
+use crate::packet_reader::{PacketReader, Received, look};
+
+/// Topics that it publishes.
+pub const PUBLISHES: &[&str] = &["frames"];
+
+/// Encode the events of `events` into frames: eecvs_msgs/msg/Frame on `frames`
+#[derive(Debug, Clone, Args)]
+pub struct Encode {
+    /// What encodes
+    #[arg(long, value_name = "NAME", default_value = "eecvs")]
+    operator: String,
+
+    /// Bytes of a frame, at the most: a window that needs more takes several, as larger messages get lost on
+    /// their way
+    #[arg(long, value_name = "BYTES", default_value_t = 98_000,
+          value_parser = clap::value_parser!(u32)
+              .range(OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
+    frame_bytes: u32,
+
+    /// Name of the sensor in the headers
+    #[arg(long, value_name = "NAME", default_value = "event_camera")]
+    frame_id: String,
+
+    /// End after so many seconds without events; of none at all, never
+    #[arg(long, value_name = "S")]
+    idle_s: Option<u32>,
+
+    #[command(flatten)]
+    codec: CodecOptions,
+
+    #[command(flatten)]
+    qos: QosOptions,
+}
+
+/// How often losses are told.
+const TELL: Duration = Duration::from_secs(5);
+
+impl Encode {
+    /// Encodes until it is to stop.
+    ///
+    /// # Errors
+    /// An operator that there is not, what is asked of it, the transport.
+    pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
+        let operator = operators.find(&self.operator).with_context(|| {
+            let names = operators.names();
+            format!("operator {:?} is not known: {names}", self.operator)
+        })?;
+        let qos = self.qos.qos();
+        let subscription = context.subscription::<EventPacket>("events", qos)?;
+        let mut sender = context.publisher::<Frame>("frames", qos)?;
+        let idle = self.idle_s.map(|s| Duration::from_secs(s.into()));
+        let Some(reader) = PacketReader::begin(subscription, &context.stop, idle)? else {
+            return Ok(());
+        };
+        let watch = reader.watch();
+        let mut now = Now::every(TELL);
+        let mut told = Received::default();
+        let mut frame = Frame {
+            header: Header {
+                frame_id: self.frame_id.clone(),
+                ..Header::default()
+            },
+            operator_name: operator.name().to_owned(),
+            ..Frame::default()
+        };
+        let job = Job {
+            codec: &self.codec,
+            limits: Limits {
+                window_events: WINDOW_EVENTS,
+                frame_bytes: self.frame_bytes as usize,
+                ..Limits::default()
+            },
+        };
+        let summary = operator.encode(Box::new(reader), &job, &mut |encoded| {
+            let received = look(&watch);
+            frame.header.stamp = received.stamp;
+            frame.t0_us = encoded.span.t0_us;
+            frame.duration_us = encoded.span.duration_us;
+            frame.height = encoded.span.sensor.height.into();
+            frame.width = encoded.span.sensor.width.into();
+            frame.events = encoded.events;
+            frame.data.clear();
+            frame.data.extend_from_slice(encoded.data);
+            sender.send(&frame)?;
+            frame.seq += 1;
+            if now.is_due() {
+                tell_losses(&context, &received, &mut told);
+            }
+            Ok(())
+        })?;
+        let received = look(&watch);
+        tell_losses(&context, &received, &mut told);
+        context.say(&line(&received, &summary));
+        Ok(())
+    }
+}
+
+fn tell_losses(context: &Context, received: &Received, told: &mut Received) {
+    let lost = received.sequence.lost;
+    if lost > told.sequence.lost {
+        context.say(&format!("{lost} messages of events have not come"));
+    }
+    if received.refused > told.refused {
+        let why = received.why_refused.as_deref().unwrap_or_default();
+        context.say(&format!(
+            "{} messages of events were left out: {why}",
+            received.refused
+        ));
+    }
+    *told = received.clone();
+}
+
+fn line(received: &Received, summary: &EncodeSummary) -> String {
+    format!(
+        "{} events of {} messages ({} lost, {} left out): {} encoded, {} late, {} filtered, {} dropped, {} thinned; \
+         {} frames of {} bytes",
+        summary.events_in,
+        received.packets,
+        received.sequence.lost,
+        received.refused,
+        summary.events_encoded,
+        summary.events_late,
+        summary.events_filtered,
+        summary.events_dropped,
+        summary.events_thinned,
+        summary.frames,
+        summary.bytes_out
+    )
+}

@@ -1,0 +1,400 @@
+//! What turns events into frames, and frames into events: ours, or somebody else's.
+//!
+//! An operator is found by its name, which every frame carries. [`Eecvs`] is the project's own; a crate of its own
+//! adds others by giving them to [`crate::run`]:
+//!
+//! ```no_run
+//! # use eecvs_ros::operator::{Operator, Eecvs};
+//! # fn mine() -> Box<dyn Operator> { Box::new(Eecvs) }
+//! fn main() -> std::process::ExitCode {
+//!     eecvs_ros::run(vec![mine()])
+//! }
+//! ```
+//!
+//! One that needs no more than a window's events at a time is a [`WindowCoder`]; [`Windowed`] makes an operator of it.
+
+use std::io::{self, Write};
+use std::num::NonZeroUsize;
+
+use anyhow::{Context, Result};
+use eecvs_nostd::{Event, Sensor};
+use host_harness::cmd::encode::CodecOptions;
+use host_harness::decode::{FrameCounts, Windows};
+use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
+use host_harness::formats::{EventReader, Pause};
+use host_harness::reconstruct::DecodedWindow;
+
+/// A window, in the sensor's time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Span {
+    /// Size of the sensor.
+    pub sensor: Sensor,
+    /// Start of the window.
+    pub t0_us: u64,
+    /// Its duration.
+    pub duration_us: u32,
+}
+
+/// A frame: a window of events, or a part of one.
+#[derive(Debug, Clone, Copy)]
+pub struct Encoded<'f> {
+    /// The window.
+    pub span: Span,
+    /// Events told here.
+    pub events: u32,
+    /// What only the operator understands.
+    pub data: &'f [u8],
+}
+
+/// What an encoder is asked for.
+pub struct Job<'j> {
+    /// How ours encodes; what of it others heed, they say themselves.
+    pub codec: &'j CodecOptions,
+    /// Sizes of windows and frames.
+    pub limits: Limits,
+}
+
+/// A window that came out of frames.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Decoded {
+    /// Of our own frames: its events or coefficients.
+    Window(DecodedWindow),
+    /// The events of another operator's.
+    Events(Span, Vec<Event>),
+}
+
+/// Takes windows that a frame completes.
+pub type Ready<'r> = &'r mut dyn FnMut(Decoded);
+
+/// Turns frames into windows.
+pub trait Decoder: Send {
+    /// Takes the next frame; `ready` gets the windows that end before or with it.
+    ///
+    /// # Errors
+    /// Why the frame is left out.
+    fn take(&mut self, frame: &crate::message::Frame, ready: Ready<'_>) -> Result<()>;
+
+    /// What frames say of events that are not in them.
+    fn counts(&self) -> FrameCounts;
+}
+
+/// Something that codes events.
+pub trait Operator: Send + Sync {
+    /// Its name in frames.
+    fn name(&self) -> &'static str;
+
+    /// Encodes all events of a live reader; `put` gets each frame as soon as its window has ended. Returns what
+    /// became of the events.
+    ///
+    /// # Errors
+    /// The reader, what is asked for, or what `put` says.
+    fn encode(
+        &self,
+        reader: Box<dyn EventReader>,
+        job: &Job<'_>,
+        put: &mut dyn FnMut(Encoded<'_>) -> Result<()>,
+    ) -> Result<EncodeSummary>;
+
+    /// A decoder of one encoder's frames.
+    fn decoder(&self) -> Box<dyn Decoder>;
+}
+
+/// The operators that are known, ours first.
+pub struct Operators(Vec<Box<dyn Operator>>);
+
+impl Operators {
+    /// Ours and others.
+    #[must_use]
+    pub fn new(others: Vec<Box<dyn Operator>>) -> Self {
+        let mut all: Vec<Box<dyn Operator>> = vec![Box::new(Eecvs)];
+        all.extend(others);
+        Self(all)
+    }
+
+    /// The one with this name.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<&dyn Operator> {
+        self.0
+            .iter()
+            .map(AsRef::as_ref)
+            .find(|operator| operator.name() == name)
+    }
+
+    /// Their names, for messages.
+    #[must_use]
+    pub fn names(&self) -> String {
+        let names: Vec<&str> = self.0.iter().map(|operator| operator.name()).collect();
+        names.join(", ")
+    }
+}
+
+/// The project's own coders, with the frames of docs/wire-format.md.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Eecvs;
+
+impl Operator for Eecvs {
+    fn name(&self) -> &'static str {
+        "eecvs"
+    }
+
+    fn encode(
+        &self,
+        reader: Box<dyn EventReader>,
+        job: &Job<'_>,
+        put: &mut dyn FnMut(Encoded<'_>) -> Result<()>,
+    ) -> Result<EncodeSummary> {
+        let config = job.codec.config(reader.sensor())?;
+        let (mut reader, config) = job.codec.look(reader, config);
+        let hot = job.codec.hot_pixels(reader.sensor())?;
+        let codec = Codec {
+            hot: &hot,
+            ..Codec::from(config)
+        };
+        let mut frames = Frames { put, failed: None };
+        let encoded = encode(
+            reader.as_mut(),
+            codec,
+            job.limits,
+            NonZeroUsize::MIN,
+            &mut frames,
+            &mut |_| {},
+        );
+        match frames.failed {
+            Some(failed) => Err(failed),
+            None => encoded,
+        }
+    }
+
+    fn decoder(&self) -> Box<dyn Decoder> {
+        Box::new(EecvsDecoder(Windows::default()))
+    }
+}
+
+/// Takes the encoder's frames: one in each write.
+struct Frames<'p> {
+    put: &'p mut dyn FnMut(Encoded<'_>) -> Result<()>,
+    failed: Option<anyhow::Error>,
+}
+
+impl Write for Frames<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let put = eecvs_nostd::Frame::parse(bytes)
+            .map_err(|error| anyhow::anyhow!("a frame made here: {error}"))
+            .and_then(|frame| {
+                (self.put)(Encoded {
+                    span: Span {
+                        sensor: frame.header.sensor,
+                        t0_us: frame.header.t0_us,
+                        duration_us: frame.header.duration_us,
+                    },
+                    events: frame.header.events,
+                    data: bytes,
+                })
+            });
+        match put {
+            Ok(()) => Ok(bytes.len()),
+            Err(error) => {
+                self.failed = Some(error);
+                Err(io::Error::other("not published"))
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+struct EecvsDecoder(Windows);
+
+impl Decoder for EecvsDecoder {
+    fn take(&mut self, frame: &crate::message::Frame, ready: Ready<'_>) -> Result<()> {
+        let parsed = eecvs_nostd::Frame::parse(&frame.data);
+        let parsed = parsed.map_err(|error| anyhow::anyhow!("{error}"))?;
+        let taken = self
+            .0
+            .take(&parsed, |window| ready(Decoded::Window(window)));
+        taken.map_err(|refused| anyhow::anyhow!("{refused:?}"))
+    }
+
+    fn counts(&self) -> FrameCounts {
+        self.0.counts()
+    }
+}
+
+/// Codes one window at a time.
+pub trait WindowCoder: Send + Sync {
+    /// Its name in frames.
+    fn name(&self) -> &'static str;
+
+    /// Appends a window's bytes. Its events lie in it and on the sensor, in the order in which they came.
+    fn encode(&self, span: Span, events: &[Event], data: &mut Vec<u8>);
+
+    /// The events of a window's bytes.
+    ///
+    /// # Errors
+    /// Why they are none.
+    fn decode(&self, span: Span, data: &[u8]) -> Result<Vec<Event>>;
+}
+
+/// An operator of a [`WindowCoder`]: cuts windows of `window_us`, aligned to the first event, and keeps account.
+pub struct Windowed<C>(pub std::sync::Arc<C>);
+
+impl<C: WindowCoder + 'static> Windowed<C> {
+    /// The operator of a coder.
+    pub fn new(coder: C) -> Self {
+        Self(std::sync::Arc::new(coder))
+    }
+}
+
+impl<C: WindowCoder + 'static> Operator for Windowed<C> {
+    fn name(&self) -> &'static str {
+        self.0.name()
+    }
+
+    fn encode(
+        &self,
+        mut reader: Box<dyn EventReader>,
+        job: &Job<'_>,
+        put: &mut dyn FnMut(Encoded<'_>) -> Result<()>,
+    ) -> Result<EncodeSummary> {
+        let window_us = job.codec.config(reader.sensor())?.window.window_us;
+        let mut cut = WindowCut {
+            coder: self.0.as_ref(),
+            sensor: reader.sensor(),
+            window_us,
+            events_max: job.limits.window_events,
+            t0_us: None,
+            events: Vec::new(),
+            data: Vec::new(),
+            summary: EncodeSummary::default(),
+        };
+        let mut events = Vec::new();
+        loop {
+            events.clear();
+            let read = reader.read(&mut events)?;
+            for event in &events {
+                cut.push(*event, put)?;
+            }
+            match reader.pause() {
+                _ if read > 0 => {}
+                Pause::Ended => {
+                    cut.close(put)?;
+                    return Ok(cut.summary);
+                }
+                Pause::Until(now_us) => cut.pass(now_us, put)?,
+            }
+        }
+    }
+
+    fn decoder(&self) -> Box<dyn Decoder> {
+        Box::new(WindowDecoder {
+            coder: std::sync::Arc::clone(&self.0),
+            counts: FrameCounts::default(),
+        })
+    }
+}
+
+struct WindowCut<'c, C> {
+    coder: &'c C,
+    sensor: Sensor,
+    window_us: u32,
+    events_max: usize,
+    /// Start of the open window.
+    t0_us: Option<u64>,
+    events: Vec<Event>,
+    data: Vec<u8>,
+    summary: EncodeSummary,
+}
+
+impl<C: WindowCoder> WindowCut<'_, C> {
+    fn push(&mut self, event: Event, put: &mut dyn FnMut(Encoded<'_>) -> Result<()>) -> Result<()> {
+        self.pass(event.t_us, put)?;
+        if self.events.len() >= self.events_max {
+            self.close(put)?;
+        }
+        self.summary.events_in += 1;
+        if event.t_us < *self.t0_us.get_or_insert(event.t_us) {
+            self.summary.events_late += 1;
+        } else {
+            self.events.push(event);
+        }
+        Ok(())
+    }
+
+    /// Closes the window where its time has run at `now_us`.
+    fn pass(&mut self, now_us: u64, put: &mut dyn FnMut(Encoded<'_>) -> Result<()>) -> Result<()> {
+        let window_us = u64::from(self.window_us);
+        let Some(t0_us) = self.t0_us else {
+            return Ok(());
+        };
+        let passed = now_us.saturating_sub(t0_us) / window_us;
+        if passed > 0 {
+            self.close(put)?;
+            self.t0_us = Some(t0_us + passed * window_us);
+        }
+        Ok(())
+    }
+
+    fn close(&mut self, put: &mut dyn FnMut(Encoded<'_>) -> Result<()>) -> Result<()> {
+        let (Some(t0_us), false) = (self.t0_us, self.events.is_empty()) else {
+            return Ok(());
+        };
+        let span = Span {
+            sensor: self.sensor,
+            t0_us,
+            duration_us: self.window_us,
+        };
+        self.data.clear();
+        self.coder.encode(span, &self.events, &mut self.data);
+        let events = u32::try_from(self.events.len()).context("events of a window")?;
+        self.events.clear();
+        self.summary.windows += 1;
+        self.summary.frames += 1;
+        self.summary.events_encoded += u64::from(events);
+        self.summary.bytes_out += self.data.len() as u64;
+        put(Encoded {
+            span,
+            events,
+            data: &self.data,
+        })
+    }
+}
+
+struct WindowDecoder<C> {
+    coder: std::sync::Arc<C>,
+    counts: FrameCounts,
+}
+
+impl<C: WindowCoder> Decoder for WindowDecoder<C> {
+    fn take(&mut self, frame: &crate::message::Frame, ready: Ready<'_>) -> Result<()> {
+        let side = |side: u32| u16::try_from(side).ok();
+        let sensor = side(frame.width)
+            .zip(side(frame.height))
+            .and_then(|(width, height)| Sensor::new(width, height))
+            .with_context(|| format!("a sensor of {}x{}", frame.width, frame.height))?;
+        let span = Span {
+            sensor,
+            t0_us: frame.t0_us,
+            duration_us: frame.duration_us,
+        };
+        let events = self.coder.decode(span, &frame.data)?;
+        anyhow::ensure!(
+            events.len() == frame.events as usize,
+            "{} events where {} are told",
+            events.len(),
+            frame.events
+        );
+        let outside = events
+            .iter()
+            .find(|event| !sensor.contains(event.x, event.y));
+        anyhow::ensure!(outside.is_none(), "an event is outside of the sensor");
+        self.counts.events_exact += events.len() as u64;
+        ready(Decoded::Events(span, events));
+        Ok(())
+    }
+
+    fn counts(&self) -> FrameCounts {
+        self.counts
+    }
+}

@@ -1,0 +1,200 @@
+//! DDS, as ROS 2's default middlewares speak it.
+//!
+//! Types are matched by their names alone: [`crate::message::from_cdr`] refuses what has other fields. A message
+//! beyond a datagram's 64 kB travels in fragments of which none may be lost, so that best effort wants messages
+//! of 100 kB at the most and receivers with room for a burst of them.
+
+use std::net::{IpAddr, Ipv4Addr};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, anyhow};
+use mio::{Events, Interest, Poll, Token};
+use ros2_client::dds::rustdds::{self, DomainParticipantBuilder};
+use ros2_client::qos::{History, Reliability, WhenFull};
+use ros2_client::{Context, MessageTypeName, Name, NodeOptions, ParameterValue, QosProfile};
+
+use super::raw::Raw;
+use super::{Node, Publisher, Qos, Subscription, Transport};
+use crate::message::{ENCAPSULATION, Type};
+use crate::names::NodeName;
+
+/// A participant of a domain.
+pub struct Dds {
+    context: Context,
+}
+
+impl Dds {
+    /// Joins a domain; with `loopback` on this computer alone.
+    ///
+    /// # Errors
+    /// No network, or another process has its ports.
+    pub fn join(domain: u16, loopback: bool) -> Result<Self> {
+        let mut builder = DomainParticipantBuilder::new(domain);
+        if loopback {
+            builder = builder.with_only_networks([IpAddr::V4(Ipv4Addr::LOCALHOST)]);
+        }
+        let joined = builder.build();
+        let participant = joined.map_err(|error| anyhow!("DDS domain {domain}: {error}"))?;
+        let context = Context::from_domain_participant(participant)
+            .map_err(|error| anyhow!("DDS domain {domain}: {error}"))?;
+        Ok(Self { context })
+    }
+}
+
+impl Transport for Dds {
+    fn node(&self, name: &NodeName, parameters: &[(String, String)]) -> Result<Box<dyn Node>> {
+        let refused = |what: &dyn std::fmt::Display| anyhow!("node {}: {what}", name.full());
+        let mut options = NodeOptions::new();
+        for (name, value) in parameters {
+            options = options.declare_parameter(name, ParameterValue::String(value.clone()));
+        }
+        let base = ros2_client::NodeName::new(&name.namespace, &name.base);
+        let base = base.map_err(|error| refused(&error))?;
+        let node = self.context.new_node(base, options);
+        let mut node = node.map_err(|error| refused(&format!("{error:?}")))?;
+        let spinner = node
+            .spinner()
+            .map_err(|error| refused(&format!("{error:?}")))?;
+        // Ends with the node.
+        thread::Builder::new()
+            .name("node".to_owned())
+            .spawn(move || futures_executor::block_on(spinner.spin()))
+            .context("a thread of a node")?;
+        Ok(Box::new(DdsNode {
+            node: Arc::new(Mutex::new(node)),
+        }))
+    }
+}
+
+/// Shared with what it publishes and receives, as it knows who is at the other end of them.
+type Shared = Arc<Mutex<ros2_client::Node>>;
+
+struct DdsNode {
+    node: Shared,
+}
+
+/// Runs `act` on a node. A panic while another thread had it has left it whole.
+fn on<T>(node: &Shared, act: impl FnOnce(&mut ros2_client::Node) -> T) -> T {
+    act(&mut node.lock().unwrap_or_else(PoisonError::into_inner))
+}
+
+impl DdsNode {
+    fn topic(&self, topic: &str, kind: Type, qos: &QosProfile) -> Result<rustdds::Topic> {
+        let name = Name::parse(topic).map_err(|error| anyhow!("{topic}: {error:?}"))?;
+        let (package, base) = kind.parts();
+        let kind = MessageTypeName::new(package, base);
+        let created = on(&self.node, |node| node.create_topic(&name, kind, qos));
+        created.map_err(|error| anyhow!("{topic}: {error:?}"))
+    }
+}
+
+fn profile(qos: Qos) -> QosProfile {
+    QosProfile {
+        reliability: if qos.reliable {
+            Reliability::Reliable {
+                when_full: WhenFull::DEFAULT,
+            }
+        } else {
+            Reliability::BestEffort
+        },
+        history: History::KeepLast { depth: qos.depth },
+        ..QosProfile::subscription_default()
+    }
+}
+
+impl Node for DdsNode {
+    fn publisher(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Publisher>> {
+        let qos = profile(qos);
+        let dds_topic = self.topic(topic, kind, &qos)?;
+        let created = on(&self.node, |node| {
+            node.create_publisher::<Raw>(&dds_topic, Some(qos))
+        });
+        let publisher = created.map_err(|error| anyhow!("{topic}: {error:?}"))?;
+        Ok(Box::new(DdsPublisher {
+            topic: topic.to_owned(),
+            node: Arc::clone(&self.node),
+            publisher,
+        }))
+    }
+
+    fn subscription(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Subscription>> {
+        let qos = profile(qos);
+        let dds_topic = self.topic(topic, kind, &qos)?;
+        let created = on(&self.node, |node| {
+            node.create_subscription::<Raw>(&dds_topic, Some(qos))
+        });
+        let mut subscription = created.map_err(|error| anyhow!("{topic}: {error:?}"))?;
+        let poll = Poll::new().with_context(|| topic.to_owned())?;
+        poll.registry()
+            .register(&mut subscription, Token(0), Interest::READABLE)
+            .with_context(|| topic.to_owned())?;
+        Ok(Box::new(DdsSubscription {
+            topic: topic.to_owned(),
+            node: Arc::clone(&self.node),
+            subscription,
+            poll,
+            events: Events::with_capacity(4),
+        }))
+    }
+}
+
+struct DdsPublisher {
+    topic: String,
+    node: Shared,
+    publisher: ros2_client::Publisher<Raw>,
+}
+
+impl Publisher for DdsPublisher {
+    fn publish(&mut self, cdr: &[u8]) -> Result<()> {
+        let fields = cdr.strip_prefix(&ENCAPSULATION).unwrap_or_default();
+        let published = self.publisher.publish(Raw(fields.to_vec()));
+        published.map_err(|error| anyhow!("{}: {error:?}", self.topic))
+    }
+
+    fn subscribers(&self) -> usize {
+        on(&self.node, |node| {
+            self.publisher.get_subscription_count(node)
+        })
+    }
+}
+
+struct DdsSubscription {
+    topic: String,
+    node: Shared,
+    subscription: ros2_client::Subscription<Raw>,
+    poll: Poll,
+    events: Events,
+}
+
+impl Subscription for DdsSubscription {
+    fn take(&mut self, wait: Duration) -> Result<Option<Vec<u8>>> {
+        let until = Instant::now() + wait;
+        loop {
+            let taken = self.subscription.take();
+            if let Some((Raw(fields), _)) =
+                taken.map_err(|error| anyhow!("{}: {error:?}", self.topic))?
+            {
+                let mut cdr = ENCAPSULATION.to_vec();
+                cdr.extend_from_slice(&fields);
+                return Ok(Some(cdr));
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            if let Err(error) = self.poll.poll(&mut self.events, Some(left))
+                && error.kind() != std::io::ErrorKind::Interrupted
+            {
+                return Err(error).with_context(|| self.topic.clone());
+            }
+        }
+    }
+
+    fn publishers(&self) -> usize {
+        on(&self.node, |node| {
+            self.subscription.get_publisher_count(node)
+        })
+    }
+}

@@ -1,0 +1,221 @@
+//! The memory of one process, in front of another transport.
+//!
+//! A message goes straight into the queues of subscriptions of the same process, and by the other transport to those
+//! elsewhere. What a node of this process publishes its subscriptions get from here alone, so that nodes are
+//! announced before any of them subscribes: [`Local::expect`] names the topics.
+
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+
+use super::{Node, Publisher, Qos, Subscription, Transport};
+use crate::message::Type;
+use crate::names::NodeName;
+
+/// The memory of a process, and what is outside.
+pub struct Local {
+    outside: Option<Arc<dyn Transport>>,
+    shared: Arc<Mutex<Topics>>,
+}
+
+/// The topics that are published here.
+#[derive(Default)]
+struct Topics {
+    published: HashSet<String>,
+    queues: HashMap<String, Vec<Queue>>,
+}
+
+/// What waits for one subscription.
+type Queue = Arc<(Mutex<Waiting>, Condvar)>;
+
+#[derive(Default)]
+struct Waiting {
+    messages: VecDeque<Arc<[u8]>>,
+    depth: usize,
+    closed: bool,
+}
+
+/// Whoever panicked while something was locked has left it whole.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Local {
+    /// In front of another transport.
+    #[must_use]
+    pub fn before(outside: Arc<dyn Transport>) -> Self {
+        Self {
+            outside: Some(outside),
+            shared: Arc::default(),
+        }
+    }
+
+    /// Without any other: nobody outside of the process is reached.
+    #[must_use]
+    pub fn alone() -> Self {
+        Self {
+            outside: None,
+            shared: Arc::default(),
+        }
+    }
+
+    /// Tells that a node of this process is going to publish a topic.
+    pub fn expect(&self, topic: String) {
+        lock(&self.shared).published.insert(topic);
+    }
+}
+
+impl Transport for Local {
+    fn node(&self, name: &NodeName, parameters: &[(String, String)]) -> Result<Box<dyn Node>> {
+        let outside = self.outside.as_ref();
+        Ok(Box::new(LocalNode {
+            outside: outside
+                .map(|outside| outside.node(name, parameters))
+                .transpose()?,
+            shared: Arc::clone(&self.shared),
+        }))
+    }
+}
+
+struct LocalNode {
+    outside: Option<Box<dyn Node>>,
+    shared: Arc<Mutex<Topics>>,
+}
+
+impl Node for LocalNode {
+    fn publisher(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Publisher>> {
+        let outside = self.outside.as_mut();
+        Ok(Box::new(LocalPublisher {
+            topic: topic.to_owned(),
+            outside: outside
+                .map(|node| node.publisher(topic, kind, qos))
+                .transpose()?,
+            shared: Arc::clone(&self.shared),
+        }))
+    }
+
+    fn subscription(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Subscription>> {
+        let mut topics = lock(&self.shared);
+        let is_outside = !topics.published.contains(topic);
+        if let Some(outside) = self.outside.as_mut().filter(|_| is_outside) {
+            drop(topics);
+            return outside.subscription(topic, kind, qos);
+        }
+        let queue = Queue::default();
+        lock(&queue.0).depth = qos.depth.max(1);
+        let queues = topics.queues.entry(topic.to_owned()).or_default();
+        queues.push(Arc::clone(&queue));
+        Ok(Box::new(LocalSubscription { queue }))
+    }
+}
+
+struct LocalPublisher {
+    topic: String,
+    outside: Option<Box<dyn Publisher>>,
+    shared: Arc<Mutex<Topics>>,
+}
+
+impl Publisher for LocalPublisher {
+    fn publish(&mut self, cdr: &[u8]) -> Result<()> {
+        let mut topics = lock(&self.shared);
+        if let Some(queues) = topics.queues.get_mut(&self.topic) {
+            let message: Arc<[u8]> = cdr.into();
+            queues.retain(|queue| {
+                let mut waiting = lock(&queue.0);
+                while waiting.messages.len() >= waiting.depth {
+                    waiting.messages.pop_front();
+                }
+                waiting.messages.push_back(Arc::clone(&message));
+                queue.1.notify_one();
+                !waiting.closed
+            });
+        }
+        drop(topics);
+        match &mut self.outside {
+            Some(outside) if outside.subscribers() > 0 => outside.publish(cdr),
+            _ => Ok(()),
+        }
+    }
+
+    fn subscribers(&self) -> usize {
+        let here = lock(&self.shared)
+            .queues
+            .get(&self.topic)
+            .map_or(0, Vec::len);
+        here + self
+            .outside
+            .as_ref()
+            .map_or(0, |outside| outside.subscribers())
+    }
+}
+
+struct LocalSubscription {
+    queue: Queue,
+}
+
+impl Subscription for LocalSubscription {
+    fn take(&mut self, wait: Duration) -> Result<Option<Vec<u8>>> {
+        let until = Instant::now() + wait;
+        let (mutex, changed) = &*self.queue;
+        let mut waiting = lock(mutex);
+        loop {
+            if let Some(message) = waiting.messages.pop_front() {
+                return Ok(Some(message.to_vec()));
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            (waiting, _) = changed
+                .wait_timeout(waiting, left)
+                .unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn publishers(&self) -> usize {
+        1
+    }
+}
+
+impl Drop for LocalSubscription {
+    fn drop(&mut self) {
+        lock(&self.queue.0).closed = true;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::{EventPacket, Message};
+
+    const QOS: Qos = Qos {
+        depth: 3,
+        reliable: false,
+    };
+
+    #[test]
+    fn messages_pass_and_the_oldest_are_let_go_of() {
+        let local = Local::alone();
+        let name = NodeName::new("/", "a").unwrap();
+        let mut node = local.node(&name, &[]).unwrap();
+        let mut publisher = node.publisher("/x", EventPacket::TYPE, QOS).unwrap();
+        publisher.publish(&[9]).unwrap();
+        let mut one = node.subscription("/x", EventPacket::TYPE, QOS).unwrap();
+        let mut other = node.subscription("/y", EventPacket::TYPE, QOS).unwrap();
+        assert_eq!(publisher.subscribers(), 1);
+        for number in 0..5 {
+            publisher.publish(&[number]).unwrap();
+        }
+        for number in 2..5 {
+            let taken = one.take(Duration::ZERO).unwrap();
+            assert_eq!(taken, Some(vec![number]));
+        }
+        assert_eq!(one.take(Duration::from_millis(5)).unwrap(), None);
+        assert_eq!(other.take(Duration::ZERO).unwrap(), None);
+        drop(one);
+        publisher.publish(&[7]).unwrap();
+        assert_eq!(publisher.subscribers(), 0);
+    }
+}
