@@ -8,7 +8,8 @@
 //! | `--log-level`, `--enable-rosout-logs`, ... | taken, without effect |
 //!
 //! A node's parameters are its command's flags: `-p window_us:=5000` is `--window-us 5000`. Parameters become
-//! flags in front of those that are given, which count for more; of parameters the later ones do.
+//! flags in front of those that are given, which count for more; of parameters the later ones do. One that is given
+//! for all nodes is for those that have it.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -43,6 +44,8 @@ struct Assignment {
     node: String,
     name: String,
     value: Given,
+    /// It stands on the command line, not in a file.
+    on_line: bool,
 }
 
 /// What ROS 2's part of a command line says.
@@ -105,11 +108,17 @@ impl RosArguments {
         Ok(())
     }
 
-    /// What it says of the node that is called `base` in `namespace` unless it says something else.
+    /// What it says of the node that is called `base` in `namespace` unless it says something else, and `has` some
+    /// parameters.
     ///
     /// # Errors
     /// A name that ROS 2 does not allow.
-    pub fn node(&self, namespace: &str, base: &str) -> Result<NodeArguments> {
+    pub fn node(
+        &self,
+        namespace: &str,
+        base: &str,
+        has: &dyn Fn(&str) -> bool,
+    ) -> Result<NodeArguments> {
         let rules = || {
             let of_node = |rule: &&Remap| rule.node.as_deref().is_none_or(|node| node == base);
             self.remaps.iter().filter(of_node)
@@ -131,9 +140,10 @@ impl RosArguments {
             node,
             name: parameter,
             value,
+            ..
         } in &self.assignments
         {
-            if is_for(node, &name) {
+            if is_for(node, &name) && (has(parameter) || !is_for_many(node)) {
                 values.insert(parameter, value);
             }
         }
@@ -148,12 +158,31 @@ impl RosArguments {
         })
     }
 
-    /// Nodes that are named and are not among `known`, own or full names: nobody listens to what is said of them.
-    #[must_use]
-    pub fn unknown(&self, known: &[NodeName]) -> Vec<&str> {
-        let assigned = self.assignments.iter().map(|given| given.node.as_str());
-        let is_unknown = |node: &&str| !known.iter().any(|name| is_for(node, name));
-        assigned.filter(is_unknown).collect()
+    /// Whether parameters are for some of these nodes, each with what tells its parameters.
+    ///
+    /// # Errors
+    /// One of the command line that none of them has. Of those in files, `warn` gets the nodes and the names: the
+    /// file may be one for other programs too.
+    pub fn check(
+        &self,
+        nodes: &[(NodeName, &dyn Fn(&str) -> bool)],
+        mut warn: impl FnMut(&str, &str),
+    ) -> Result<()> {
+        for given in &self.assignments {
+            let takes = |(name, has): &(NodeName, &dyn Fn(&str) -> bool)| {
+                is_for(&given.node, name) && (has(&given.name) || !is_for_many(&given.node))
+            };
+            if nodes.iter().any(takes) || given.name == "use_sim_time" {
+                continue;
+            }
+            ensure!(
+                !given.on_line,
+                "--ros-args: no node here has the parameter {}",
+                given.name
+            );
+            warn(&given.node, &given.name);
+        }
+        Ok(())
     }
 }
 
@@ -237,6 +266,7 @@ fn assignment(text: &str) -> Result<Assignment> {
         node: node.unwrap_or_else(|| "/**".to_owned()),
         name,
         value: Given::parse(&value),
+        on_line: true,
     })
 }
 
@@ -250,6 +280,11 @@ fn is_for(pattern: &str, name: &NodeName) -> bool {
     let tokens: Vec<&str> = full.split('/').skip(1).collect();
     let pattern: Vec<&str> = pattern.trim_start_matches('/').split('/').collect();
     matches(&pattern, &tokens)
+}
+
+/// Whether a pattern may be for nodes that whoever wrote it did not think of.
+fn is_for_many(pattern: &str) -> bool {
+    pattern.contains('*')
 }
 
 fn matches(pattern: &[&str], tokens: &[&str]) -> bool {
@@ -347,6 +382,7 @@ fn parameter_of_file(
         node: node.to_owned(),
         name,
         value,
+        on_line: false,
     });
     Ok(())
 }
@@ -377,7 +413,7 @@ mod tests {
         )
         .unwrap();
         assert_eq!(rest, ["encode", "--coder", "dense"]);
-        let node = ros.node("/event_camera", "encode").unwrap();
+        let node = ros.node("/event_camera", "encode", &|_| true).unwrap();
         assert_eq!(node.name.full(), "/left/encode");
         assert_eq!(node.flags, ["--window-us=5000"]);
         assert_eq!(node.topic("events").unwrap(), "/dvs/events");
@@ -392,14 +428,26 @@ mod tests {
              -p encode:m:=8 -p keep_order:=true -p isolated:=false",
         )
         .unwrap();
-        let encode = ros.node("/", "encode").unwrap();
+        let encode = ros.node("/", "encode", &|_| true).unwrap();
         assert_eq!(encode.topic("events").unwrap(), "/a");
         assert_eq!(encode.flags, ["--keep-order", "-m=8"]);
-        let decode = ros.node("/", "decode").unwrap();
+        let decode = ros.node("/", "decode", &|_| true).unwrap();
         assert_eq!(decode.name.full(), "/viewer");
         assert_eq!(decode.topic("events").unwrap(), "/b");
         assert_eq!(decode.flags, ["--keep-order"]);
-        assert_eq!(ros.unknown(&[decode.name]), ["encode"]);
+        let has = |name: &str| ["keep_order", "isolated"].contains(&name);
+        let both = [
+            (encode.name, &has as &dyn Fn(&str) -> bool),
+            (decode.name, &has),
+        ];
+        ros.check(&both, |_, _| panic!()).unwrap();
+        // What is for a node by its name it has to know, or says so itself.
+        assert!(ros.check(&both[1..], |_, _| panic!()).is_err());
+        let none = |_: &str| false;
+        let error = ros.check(&[(both[0].0.clone(), &none)], |_, _| panic!());
+        assert!(error.unwrap_err().to_string().contains("keep_order"));
+        let flags = ros.node("/", "encode", &none).unwrap().flags;
+        assert_eq!(flags, ["-m=8"]);
     }
 
     #[test]
@@ -413,7 +461,8 @@ mod tests {
         std::fs::write(&path, yaml).unwrap();
         let line = format!("--ros-args --params-file {} -p coder:=fast", path.display());
         let (ros, _) = split(&line).unwrap();
-        let flags = |namespace: &str, base: &str| ros.node(namespace, base).unwrap().flags;
+        let flags =
+            |namespace: &str, base: &str| ros.node(namespace, base, &|_| true).unwrap().flags;
         assert_eq!(
             flags("/left", "decode"),
             [
@@ -449,9 +498,9 @@ mod tests {
             assert!(split(bad).is_err(), "{bad}");
         }
         let (ros, _) = split("--ros-args -p use_sim_time:=true").unwrap();
-        assert!(ros.node("/", "encode").is_err());
+        assert!(ros.node("/", "encode", &|_| true).is_err());
         let (ros, _) = split("--ros-args -r __node:=9").unwrap();
-        assert!(ros.node("/", "encode").is_err());
+        assert!(ros.node("/", "encode", &|_| true).is_err());
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.yaml");
         for bad in [

@@ -93,8 +93,7 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
         return composed(&compose, &line.network, &ros, operators, &stop);
     }
     let name = line.command.name();
-    let arguments = ros.node(NAMESPACE, name)?;
-    warn_of_unknown(&ros, &[&arguments]);
+    let arguments = named(&ros, &[name.to_owned()])?.remove(0);
     let (line, parameters) = parse(rest, &arguments)?;
     let transport = line.network.open()?;
     let context = Context::new(transport.as_ref(), arguments, &parameters, stop)?;
@@ -128,11 +127,38 @@ fn parse(mut line: Vec<String>, node: &NodeArguments) -> Result<(EecvsRos, Vec<(
     Ok((EecvsRos::from_arg_matches_mut(&mut matches)?, parameters))
 }
 
-fn warn_of_unknown(ros: &RosArguments, nodes: &[&NodeArguments]) {
-    let names: Vec<_> = nodes.iter().map(|node| node.name.clone()).collect();
-    for unknown in ros.unknown(&names) {
-        eprintln!("eecvs-ros: --ros-args: parameters of {unknown}, which does not run here");
+/// What is said of the nodes of some commands, all of which run in this process.
+fn named(ros: &RosArguments, commands: &[String]) -> Result<Vec<NodeArguments>> {
+    let mut line = EecvsRos::command();
+    // Gives commands the flags that all of them have.
+    line.build();
+    let parameters: Vec<Vec<String>> = commands
+        .iter()
+        .map(|name| match line.find_subcommand(name) {
+            Some(command) => command
+                .get_arguments()
+                .map(|argument| argument.get_id().to_string())
+                .collect(),
+            None => Vec::new(),
+        })
+        .collect();
+    let has: Vec<_> = parameters
+        .iter()
+        .map(|parameters| move |name: &str| parameters.iter().any(|known| known == name))
+        .collect();
+    let mut nodes = Vec::new();
+    for (name, has) in commands.iter().zip(&has) {
+        nodes.push(ros.node(NAMESPACE, name, has)?);
     }
+    let all: Vec<(_, &dyn Fn(&str) -> bool)> = nodes
+        .iter()
+        .zip(&has)
+        .map(|(node, has)| (node.name.clone(), has as &dyn Fn(&str) -> bool))
+        .collect();
+    ros.check(&all, |node, name| {
+        eprintln!("eecvs-ros: --ros-args: {node}: {name} is no parameter of a node here");
+    })?;
+    Ok(nodes)
 }
 
 fn composed(
@@ -143,11 +169,7 @@ fn composed(
     stop: &Stop,
 ) -> Result<()> {
     let transport = Local::before(network.open()?);
-    let mut arguments = Vec::new();
-    for name in &compose.nodes {
-        arguments.push(ros.node(NAMESPACE, name)?);
-    }
-    warn_of_unknown(ros, &arguments.iter().collect::<Vec<_>>());
+    let arguments = named(ros, &compose.nodes)?;
     let mut nodes = Vec::new();
     for (name, arguments) in compose.nodes.iter().zip(arguments) {
         let line = vec!["eecvs-ros".to_owned(), name.clone()];

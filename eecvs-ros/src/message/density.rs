@@ -41,7 +41,7 @@ pub struct Density {
 impl Message for Density {
     const TYPE: Type = Type {
         name: "eecvs_msgs/msg/Density",
-        hash: "",
+        hash: "RIHS01_21e6dc512220750084630e0d9f7402f927ad77214a3361f2559c81e3eb477930",
         definition: with_header!(include_str!("../../../eecvs_msgs/msg/Density.msg")),
     };
 }

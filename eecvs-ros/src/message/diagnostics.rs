@@ -65,7 +65,7 @@ impl From<Level> for u8 {
 impl Message for DiagnosticArray {
     const TYPE: Type = Type {
         name: "diagnostic_msgs/msg/DiagnosticArray",
-        hash: "",
+        hash: "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
         definition: concat!(
             with_header!(
                 "std_msgs/Header header\n\

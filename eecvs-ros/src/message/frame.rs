@@ -32,7 +32,7 @@ pub struct Frame {
 impl Message for Frame {
     const TYPE: Type = Type {
         name: "eecvs_msgs/msg/Frame",
-        hash: "",
+        hash: "RIHS01_2061cb87da15a9988f32ab9af4eb9a03654fa0dfa9b8897897fecee11f1b76a0",
         definition: with_header!(include_str!("../../../eecvs_msgs/msg/Frame.msg")),
     };
 }

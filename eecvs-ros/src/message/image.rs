@@ -28,7 +28,7 @@ pub struct Image {
 impl Message for Image {
     const TYPE: Type = Type {
         name: "sensor_msgs/msg/Image",
-        hash: "",
+        hash: "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47",
         definition: with_header!(
             "std_msgs/Header header\n\
              uint32 height\n\

@@ -33,7 +33,7 @@ pub struct Volume {
 impl Message for Volume {
     const TYPE: Type = Type {
         name: "eecvs_msgs/msg/Volume",
-        hash: "",
+        hash: "RIHS01_0e8fbfcaa03c4f0f960bbda4dd5737d6c9d215e024d1ab07347d13b6e39505f9",
         definition: with_header!(include_str!("../../../eecvs_msgs/msg/Volume.msg")),
     };
 }

@@ -123,6 +123,10 @@ impl Context {
         while sender.subscribers() == 0 && !self.stop.is_asked() && started.elapsed() < most {
             std::thread::sleep(Duration::from_millis(10));
         }
+        if sender.subscribers() > 0 && !most.is_zero() {
+            // It may find this node a moment later than it was found.
+            std::thread::sleep(Duration::from_millis(300));
+        }
     }
 }
 

@@ -116,6 +116,7 @@ impl Node for DdsNode {
             topic: topic.to_owned(),
             node: Arc::clone(&self.node),
             publisher,
+            latest: None,
         }))
     }
 
@@ -144,19 +145,32 @@ struct DdsPublisher {
     topic: String,
     node: Shared,
     publisher: ros2_client::Publisher<Raw>,
+    latest: Option<Instant>,
+}
+
+/// Time in which the thread that sends has certainly sent what was published.
+const LEAVES: Duration = Duration::from_millis(200);
+
+/// What was published last is still to be sent by a thread that ends with the participant.
+impl Drop for DdsPublisher {
+    fn drop(&mut self) {
+        if let Some(latest) = self.latest {
+            thread::sleep(LEAVES.saturating_sub(latest.elapsed()));
+        }
+    }
 }
 
 impl Publisher for DdsPublisher {
     fn publish(&mut self, cdr: &[u8]) -> Result<()> {
         let fields = cdr.strip_prefix(&ENCAPSULATION).unwrap_or_default();
+        self.latest = Some(Instant::now());
         let published = self.publisher.publish(Raw(fields.to_vec()));
         published.map_err(|error| anyhow!("{}: {error:?}", self.topic))
     }
 
     fn subscribers(&self) -> usize {
-        on(&self.node, |node| {
-            self.publisher.get_subscription_count(node)
-        })
+        // Of several nodes in a participant, one alone is told of a match: the topic's are counted.
+        on(&self.node, |node| node.subscription_count(&self.topic))
     }
 }
 
@@ -193,8 +207,6 @@ impl Subscription for DdsSubscription {
     }
 
     fn publishers(&self) -> usize {
-        on(&self.node, |node| {
-            self.subscription.get_publisher_count(node)
-        })
+        on(&self.node, |node| node.publisher_count(&self.topic))
     }
 }

@@ -1,0 +1,92 @@
+//! What the tests over a network share: programs that run beside the test, and domains of their own.
+
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use eecvs_ros::transport::Qos;
+
+/// Enough for everything that a test sends.
+#[allow(dead_code)]
+pub const QOS: Qos = Qos {
+    depth: 10_000,
+    reliable: false,
+};
+
+/// A program that ends with the test.
+pub struct Program {
+    name: String,
+    child: Child,
+}
+
+impl Program {
+    /// `eecvs-ros` with arguments, in a domain, on this computer alone.
+    #[allow(dead_code)]
+    pub fn eecvs_ros(domain: u16, arguments: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_eecvs-ros"));
+        command.args(arguments);
+        Self::start(arguments[0], domain, command)
+    }
+
+    /// Any program, in a domain, on this computer alone.
+    pub fn start(name: &str, domain: u16, mut command: Command) -> Self {
+        command
+            .env("ROS_DOMAIN_ID", domain.to_string())
+            .env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let child = command.spawn().unwrap();
+        Self {
+            name: name.to_owned(),
+            child,
+        }
+    }
+
+    /// Waits for its end; its output and errors, where it ended well and in time.
+    pub fn finish(mut self, most: Duration) -> (String, String) {
+        let until = Instant::now() + most;
+        let status: Option<ExitStatus> = loop {
+            match self.child.try_wait().unwrap() {
+                None if Instant::now() < until => std::thread::sleep(Duration::from_millis(20)),
+                status => break status,
+            }
+        };
+        let _ = self.child.kill();
+        let mut texts = [String::new(), String::new()];
+        let [out, errors] = &mut texts;
+        use std::io::Read;
+        self.child
+            .stdout
+            .take()
+            .unwrap()
+            .read_to_string(out)
+            .unwrap();
+        self.child
+            .stderr
+            .take()
+            .unwrap()
+            .read_to_string(errors)
+            .unwrap();
+        assert!(
+            status.is_some_and(|status| status.success()),
+            "{}: {status:?}\n{out}\n{errors}",
+            self.name
+        );
+        let [out, errors] = texts;
+        (out, errors)
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The root of the project.
+#[allow(dead_code)]
+pub fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
+}

@@ -1,0 +1,212 @@
+//! The nodes as programs of their own, over DDS: every event comes out as it went in.
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use common::{Program, QOS};
+use eecvs_nostd::{Event, Sensor};
+use eecvs_ros::message::{Density, EventPacket, Image, Message, Volume, from_cdr};
+use eecvs_ros::names::NodeName;
+use eecvs_ros::packet_reader::{PacketReader, look};
+use eecvs_ros::transport::Transport;
+use eecvs_ros::transport::dds::Dds;
+use host_harness::formats::EventReader;
+use host_harness::scene::{Preset, SceneConfig, emulate};
+use usb_bridge::stop::Stop;
+
+/// How long programs may take to find each other and to end.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The events of a scene as `emulate` publishes it.
+fn scene(duration_us: u64) -> Vec<Event> {
+    let mut config = SceneConfig::new(Preset::IndoorFlying, 1);
+    config.duration_us = duration_us;
+    config.sensor = Sensor::new(120, 90).unwrap();
+    let mut reader = emulate(config).unwrap();
+    let mut events = Vec::new();
+    while reader.read(&mut events).unwrap() > 0 {}
+    events
+}
+
+/// How often each event occurs: windows order those of equal time anew.
+fn counted(events: &[Event]) -> BTreeMap<(u64, u16, u16, bool), usize> {
+    let mut counts = BTreeMap::new();
+    for event in events {
+        let polarity = event.polarity == eecvs_nostd::Polarity::On;
+        *counts
+            .entry((event.t_us, event.y, event.x, polarity))
+            .or_default() += 1;
+    }
+    counts
+}
+
+fn events(mut reader: PacketReader) -> Vec<Event> {
+    let watch = reader.watch();
+    let mut events = Vec::new();
+    loop {
+        let read = reader.read(&mut events).unwrap();
+        if read == 0 && reader.pause() == host_harness::formats::Pause::Ended {
+            break;
+        }
+    }
+    let received = look(&watch);
+    assert_eq!((received.sequence.lost, received.refused), (0, 0));
+    events
+}
+
+/// Publishes the scene at half its speed, once somebody has subscribed.
+fn emulated(domain: u16, duration_us: u64) -> Program {
+    let duration_us = duration_us.to_string();
+    let mut arguments = vec!["emulate", "--duration-us", &duration_us];
+    arguments.extend("--width 120 --height 90 --wait-s 20 --rate 0.5x".split(' '));
+    Program::eecvs_ros(domain, &arguments)
+}
+
+/// Runs emulate, encode and decode as programs, and returns what comes out.
+fn through_programs(domain: u16, encode: &[&str], duration_us: u64) -> Vec<Event> {
+    let transport = Dds::join(domain, true).unwrap();
+    let name = NodeName::new("/", "test").unwrap();
+    let mut node = transport.node(&name, &[]).unwrap();
+    let kind = EventPacket::TYPE;
+    let subscription = node.subscription("/event_camera/decoded/events", kind, QOS);
+    let decode = Program::eecvs_ros(domain, &["decode", "--idle-s", "3"]);
+    let mut arguments = vec!["encode", "--idle-s", "2"];
+    arguments.extend(encode);
+    let encode = Program::eecvs_ros(domain, &arguments);
+    // Until encode and decode have found each other, and the test; then encode is who waits for events.
+    std::thread::sleep(Duration::from_secs(2));
+    let emulate = emulated(domain, duration_us);
+    let stop = Stop::default();
+    let idle = Some(Duration::from_secs(4));
+    let reader = PacketReader::begin(subscription.unwrap(), &stop, idle)
+        .unwrap()
+        .unwrap();
+    let decoded = events(reader);
+    for program in [emulate, encode, decode] {
+        let (_, errors) = program.finish(PATIENCE);
+        eprint!("{errors}");
+        assert!(!errors.contains("have not come"), "{errors}");
+    }
+    decoded
+}
+
+#[test]
+fn every_event_comes_through_three_programs() {
+    let want = counted(&scene(400_000));
+    for (domain, encode) in [
+        (60, vec!["--window-us", "10000"]),
+        (
+            61,
+            vec!["--coder", "dense", "--ros-args", "-p", "window_us:=20000"],
+        ),
+    ] {
+        let got = through_programs(domain, &encode, 400_000);
+        let total: usize = want.values().sum();
+        assert_eq!(got.len(), total);
+        assert!(counted(&got) == want, "other events");
+    }
+}
+
+#[test]
+fn volumes_pictures_and_densities_are_made_for_those_who_ask() {
+    let domain = 62;
+    let transport = Dds::join(domain, true).unwrap();
+    let name = NodeName::new("/", "test").unwrap();
+    let mut node = transport.node(&name, &[]).unwrap();
+    let mut subscribe = |topic: &str, kind| {
+        let topic = format!("/event_camera/{topic}");
+        node.subscription(&topic, kind, QOS).unwrap()
+    };
+    let mut volumes = subscribe("volume", Volume::TYPE);
+    let mut images = subscribe("image", Image::TYPE);
+    let mut densities = subscribe("density", Density::TYPE);
+    let run = Program::eecvs_ros(
+        domain,
+        &[
+            "compose",
+            "encode",
+            "decode",
+            "density",
+            "--ros-args",
+            "-p",
+            "window_us:=20000",
+            "-p",
+            "idle_s:=2",
+            "-p",
+            "decode:bins:=5",
+            // It keeps the sum of every pixel.
+            "-p",
+            "encode:transform:=dct",
+            "-p",
+            "decode:volume_bytes:=98000",
+        ],
+    );
+    // Until they have found the test.
+    std::thread::sleep(Duration::from_secs(2));
+    for program in [emulated(domain, 400_000), run] {
+        eprint!("{}", program.finish(PATIENCE).1);
+    }
+    let taken = |subscription: &mut dyn eecvs_ros::transport::Subscription| {
+        let first = subscription
+            .take(Duration::from_secs(2))
+            .unwrap()
+            .expect("a message");
+        let mut all = vec![first];
+        while let Some(next) = subscription.take(Duration::from_secs(2)).unwrap() {
+            all.push(next);
+        }
+        all
+    };
+    let volumes: Vec<Volume> = taken(volumes.as_mut())
+        .iter()
+        .map(|cdr| from_cdr(cdr).unwrap())
+        .collect();
+    let images = taken(images.as_mut());
+    let densities: Vec<Density> = taken(densities.as_mut())
+        .iter()
+        .map(|cdr| from_cdr(cdr).unwrap())
+        .collect();
+
+    let want = scene(400_000);
+    let counted: usize = densities
+        .iter()
+        .map(|density| density.events as usize)
+        .sum();
+    assert_eq!(counted, want.len());
+    assert_eq!(densities[0].t0_us, want[0].t_us);
+    for density in &densities {
+        let per_pixel_s = f64::from(density.events) / (120.0 * 90.0) / 0.02;
+        assert!((density.density - per_pixel_s).abs() < 1e-9 * per_pixel_s);
+    }
+
+    // 5 bins of 120 x 90 are 216,000 bytes, in messages of 98,000.
+    assert_eq!(volumes.len(), 3 * densities.len());
+    let mut sum = 0.0;
+    for parts in volumes.chunks(3) {
+        let lengths: Vec<usize> = parts.iter().map(|part| part.values.len()).collect();
+        assert_eq!(lengths, [24_500, 24_500, 5000]);
+        assert_eq!(parts[2].offset, 49_000);
+        assert_eq!(parts[0].layout, "bins");
+        sum += parts
+            .iter()
+            .flat_map(|part| &part.values)
+            .map(|value| f64::from(*value))
+            .sum::<f64>();
+    }
+    let signed: i64 = want
+        .iter()
+        .map(|event| i64::from(event.polarity == eecvs_nostd::Polarity::On) * 2 - 1)
+        .sum();
+    assert!((sum - signed as f64).abs() < 1.0, "{sum} {signed}");
+
+    let image: Image = from_cdr(&images[0]).unwrap();
+    assert_eq!((image.width, image.height, image.step), (120, 90, 120));
+    assert_eq!(
+        (image.encoding.as_str(), image.data.len()),
+        ("mono8", 120 * 90)
+    );
+    assert!(image.data.iter().any(|pixel| *pixel == 255));
+    assert!(image.data.iter().any(|pixel| *pixel == 128));
+}
