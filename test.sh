@@ -15,6 +15,8 @@
 #             is named (the unit stage compares them where the system's Python has some)
 #   page      the page of `eecvs report` in a browser, at the width of a desk and of a telephone: only when it
 #             is named (the unit stage opens it where there is a browser)
+#   ros       the nodes of ROS 2 against genuine ROS 2, Fast DDS in C++ and Cyclone DDS in C, which it makes: only
+#             when it is named
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
 #             it is named
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 2)
@@ -246,6 +248,25 @@ usb() {
     [ "$status" = 0 ] || [ "$status" = 77 ]
 }
 
+# Each peer is wanted, none is a must.
+ros() {
+    local folder=target/ros peer status
+    for peer in setup.sh fastdds/build.sh cyclone/build.sh; do
+        status=0
+        eecvs-ros/peers/$peer "$folder" || status=$?
+        [ "$status" != 77 ] || skip "ros: $peer: see above what is missing"
+        [ "$status" = 0 ] || [ "$status" = 77 ] || return 1
+    done
+    if component clippy clippy; then
+        cargo clippy -p eecvs-ros --all-targets -- -D warnings
+    fi
+    RUSTDOCFLAGS="-D warnings" cargo doc -p eecvs-ros --no-deps --quiet
+    if [ -e "$folder/stamp" ]; then
+        export EECVS_ROS_PEERS=$PWD/$folder
+    fi
+    cargo test -p eecvs-ros
+}
+
 usb-recordings() {
     local status=0
     umockdev
@@ -302,7 +323,7 @@ if [ ${#stages[@]} = 0 ]; then
 fi
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | metrics | peers | page | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
+        lint | unit | metrics | peers | page | ros | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: no stage '$stage'; see the head of this file" >&2; exit 2 ;;
     esac
 done

@@ -1,65 +1,92 @@
 #!/usr/bin/env bash
-# Makes the environment of the tests against genuine ROS 2: setup.sh FOLDER
+# Makes an environment with genuine ROS 2 peers, for tests alone: setup.sh FOLDER
 #
-#   FOLDER/python    rclpy with Fast DDS, what builds messages, readers of bags
-#   FOLDER/install   event_camera_msgs and eecvs_msgs, built
-#   FOLDER/hashes    a line for each type that is sent here: its name, and what ROS 2 knows its definition by
+#   FOLDER/venv         Python with rclpy of ROS 2 Kilted, its Fast DDS middleware and messages, Zenoh, readers
+#                       of bags; built here with Kilted's rosidl: event_camera_msgs and eecvs_msgs
+#   FOLDER/hashes.txt   `hash TYPE HASH` of every message and service, as type descriptions have them
 #
-# Takes half a minute once, and some 320 MB. Ends with status 77 where something cannot be had here.
+# env.sh runs a command in it. The wheels are third-party builds, for Python 3.10 to 3.13. Ends at once where
+# FOLDER is complete. Exit status 77: something is missing that cannot be had here. Log: FOLDER/log.
 set -euo pipefail
 [ $# = 1 ] || { sed -n '2,9s/^# \{0,1\}//p' "$0" >&2; exit 2; }
-here=$(cd "$(dirname "$0")" && pwd)
-mkdir -p "$1"
-folder=$(cd "$1" && pwd)
-python=$folder/python
+caller=$PWD
+cd "$(dirname "$0")"
+# shellcheck source=/dev/null
+. ./common.sh
+folder=$(cd "$caller" && absolute "$1")
+venv=$folder/venv
+messages=("$PWD/event_camera_msgs" "$(cd ../../eecvs_msgs && pwd)")
 
-missing() { echo "$1" >&2; exit 77; }
+# The wheels pin each other to a minor version; those with no name of ROS 2 are not pinned by them.
+wheels=(
+    ros-kilted-rclpy==9.1.2
+    ros-kilted-rmw-fastrtps-cpp==9.3.3
+    ros-kilted-std-msgs==5.5.1
+    ros-kilted-sensor-msgs==5.5.1
+    ros-kilted-diagnostic-msgs==5.5.1
+    ros-kilted-ament-package==0.17.2
+    ros-kilted-ament-cmake==2.7.3
+    ros-kilted-ament-cmake-include-directories==2.7.3
+    ros-kilted-ament-cmake-ros-core==0.14.5
+    ros-kilted-rosidl-core-generators==0.3.1
+    ros-kilted-rosidl-default-generators==1.7.1
+    catkin-pkg==1.1.1 empy==3.3.4 lark-parser==0.12.0 numpy==2.2.6
+    eclipse-zenoh==1.10.2 mcap==1.6.0 mcap-ros2-support==0.6.0 rosbags==0.11.9
+)
+# A layout that became another would show here first.
+expected="hash event_camera_msgs/msg/EventPacket RIHS01_d6fa176260b1f37e5a40845305315e150a0f18191241eb64f407442aa29844aa"
 
-# What it is made of; where that has not changed, nothing is to be done.
-made_of() {
-    (cd "$here/../.." && cat eecvs-ros/peers/{setup.sh,requirements.txt} eecvs-ros/peers/event_camera_msgs/{*.*,msg/*} \
-        eecvs_msgs/{*.*,msg/*}) | sha256sum
-}
-[ "$(cat "$folder/made-of" 2>/dev/null)" != "$(made_of)" ] || exit 0
+have python3 || packages python3 || missing "there is no python3 and apt-get cannot install it"
+python3 -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))' ||
+    missing "$(python3 --version) is not of 3.10 to 3.13, which rclpy's wheels are for"
 
-for tool in cmake ninja c++; do
-    command -v "$tool" >/dev/null || missing "peers of ROS 2: there is no $tool"
+alone "$folder"
+stamp=$(checksum setup.sh common.sh "${messages[@]}" <<<"$folder $(python3 -c 'import sys; print(sys.version, sys.base_prefix)')")
+[ "$stamp" != "$(cat "$folder/stamp" 2>/dev/null)" ] || exit 0
+rm -rf "${folder:?}/stamp" "${folder:?}/venv" "${folder:?}/build"
+
+python3 -m venv "$venv" >"$folder/log" 2>&1 ||
+    { packages python3-venv && python3 -m venv --clear "$venv" >"$folder/log" 2>&1; } ||
+    missing "python3 cannot make an environment: see $folder/log"
+"$venv/bin/pip" install --disable-pip-version-check "${wheels[@]}" >>"$folder/log" 2>&1 ||
+    missing "pip cannot install the packages of ROS 2: see $folder/log"
+
+headers=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
+[ -e "$headers/Python.h" ] || { packages python3-dev && [ -e "$headers/Python.h" ]; } ||
+    missing "there are no headers of Python in $headers"
+for tool in cmake make g++; do
+    have "$tool" || packages "$tool" || missing "there is no $tool and apt-get cannot install it"
 done
-[ "$(python3 -c 'import sys; print("%d.%d" % sys.version_info[:2])')" = 3.11 ] ||
-    missing "peers of ROS 2: their packages are for Python 3.11"
-rm -rf "$python" "$folder"/{build,install,hashes,made-of}
-python3 -m venv "$python" || missing "peers of ROS 2: python3 cannot make an environment"
-"$python/bin/pip" install -q --disable-pip-version-check -r "$here/requirements.txt" ||
-    missing "peers of ROS 2: pip cannot install their packages"
 
-# The packages name the interpreter that they were built with.
-includes=$("$python/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
-site=$python/lib/python3.11/site-packages
-grep -rIlZ --include='*.cmake' /opt/python "$python/share" | xargs -0 sed -i \
-    -e "s#/opt/python/cp311-cp311/include/python3.11#$includes#g" \
-    -e "s#/opt/python/cp311-cp311/lib/python3.11/site-packages#$site#g"
+# The wheels name the folders of the interpreter that they were built with.
+site=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+sed -Ei "s#/opt/python/[^/;\"]+/lib/python[0-9.]+/site-packages#$site#g; s#/opt/python/[^/;\"]+/include/python[0-9.]+#$headers#g" \
+    "$venv"/share/*/cmake/*rosidl_generator_py*Export*.cmake
 
-for package in "$here/event_camera_msgs" "$here/../../eecvs_msgs"; do
-    build=$folder/build/$(basename "$package")
-    log=$folder/build.log
-    if ! PATH=$python/bin:$PATH AMENT_PREFIX_PATH=$python PYTHONPATH=$site LD_LIBRARY_PATH=$python/lib \
-        CMAKE_PREFIX_PATH="$python;$folder/install" \
-        bash -c 'cmake -S "$1" -B "$2" -G Ninja -DCMAKE_INSTALL_PREFIX="$3" -DBUILD_TESTING=OFF \
-            -DPython3_EXECUTABLE="$4" -DCMAKE_BUILD_TYPE=Release && cmake --build "$2" --target install' \
-        _ "$package" "$build" "$folder/install" "$python/bin/python3" >"$log" 2>&1; then
-        tail -20 "$log" >&2
-        exit 1
-    fi
+# One package of messages, into the environment.
+build() (
+    unset PYTHONHOME PYTHONPATH
+    export PATH=$venv/bin:$PATH AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
+    tree=$folder/build/$(basename "$1")
+    cmake -S "$1" -B "$tree" -DCMAKE_INSTALL_PREFIX="$venv" -DPython3_EXECUTABLE="$venv/bin/python" \
+        -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release &&
+        cmake --build "$tree" -j "$(nproc)" && cmake --install "$tree"
+)
+for package in "${messages[@]}"; do
+    build "$package" >>"$folder/log" 2>&1 || failed "$package cannot be built: see $folder/log"
 done
-rm -rf "$folder/build"
 
-"$python/bin/python" - "$folder"/install/share/*/msg/*.json \
-    "$python"/share/{sensor_msgs/msg/Image,diagnostic_msgs/msg/DiagnosticArray}.json >"$folder/hashes" <<'PYTHON'
-import json
-import sys
-
-for path in sys.argv[1:]:
-    described = json.load(open(path))["type_hashes"][0]
-    print(described["type_name"], described["hash_string"])
+"$venv/bin/python" - "$venv/share" >"$folder/hashes.txt" <<'PYTHON'
+import json, pathlib, sys
+share = pathlib.Path(sys.argv[1])
+hashes = {}
+for path in sorted([*share.glob("*/msg/*.json"), *share.glob("*/srv/*.json")]):
+    for each in json.loads(path.read_text())["type_hashes"]:
+        hashes[each["type_name"]] = each["hash_string"]
+for name in sorted(hashes):
+    print("hash", name, hashes[name])
 PYTHON
-made_of >"$folder/made-of"
+grep -qx "$expected" "$folder/hashes.txt" ||
+    failed "EventPacket has another hash: see $folder/hashes.txt"
+rm -rf "${folder:?}/build"
+echo "$stamp" >"$folder/stamp"

@@ -55,6 +55,9 @@ pub struct RosArguments {
     assignments: Vec<Assignment>,
 }
 
+/// Tells whether a node has a parameter.
+pub type Has<'a> = &'a dyn Fn(&str) -> bool;
+
 /// What it says of one node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeArguments {
@@ -113,12 +116,7 @@ impl RosArguments {
     ///
     /// # Errors
     /// A name that ROS 2 does not allow.
-    pub fn node(
-        &self,
-        namespace: &str,
-        base: &str,
-        has: &dyn Fn(&str) -> bool,
-    ) -> Result<NodeArguments> {
+    pub fn node(&self, namespace: &str, base: &str, has: Has<'_>) -> Result<NodeArguments> {
         let rules = || {
             let of_node = |rule: &&Remap| rule.node.as_deref().is_none_or(|node| node == base);
             self.remaps.iter().filter(of_node)
@@ -165,11 +163,11 @@ impl RosArguments {
     /// file may be one for other programs too.
     pub fn check(
         &self,
-        nodes: &[(NodeName, &dyn Fn(&str) -> bool)],
+        nodes: &[(NodeName, Has<'_>)],
         mut warn: impl FnMut(&str, &str),
     ) -> Result<()> {
         for given in &self.assignments {
-            let takes = |(name, has): &(NodeName, &dyn Fn(&str) -> bool)| {
+            let takes = |(name, has): &(NodeName, Has<'_>)| {
                 is_for(&given.node, name) && (has(&given.name) || !is_for_many(&given.node))
             };
             if nodes.iter().any(takes) || given.name == "use_sim_time" {
@@ -436,10 +434,7 @@ mod tests {
         assert_eq!(decode.topic("events").unwrap(), "/b");
         assert_eq!(decode.flags, ["--keep-order"]);
         let has = |name: &str| ["keep_order", "isolated"].contains(&name);
-        let both = [
-            (encode.name, &has as &dyn Fn(&str) -> bool),
-            (decode.name, &has),
-        ];
+        let both = [(encode.name, &has as Has<'_>), (decode.name, &has)];
         ros.check(&both, |_, _| panic!()).unwrap();
         // What is for a node by its name it has to know, or says so itself.
         assert!(ros.check(&both[1..], |_, _| panic!()).is_err());

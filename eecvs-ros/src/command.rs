@@ -10,7 +10,7 @@ use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
 use host_harness::cmd::output::end;
 use usb_bridge::stop::Stop;
 
-use crate::arguments::{NodeArguments, RosArguments};
+use crate::arguments::{Has, NodeArguments, RosArguments};
 use crate::node::{Context, NAMESPACE, decode, density, emulate, encode};
 use crate::operator::{Operator, Operators};
 use crate::transport::Transport;
@@ -150,10 +150,10 @@ fn named(ros: &RosArguments, commands: &[String]) -> Result<Vec<NodeArguments>> 
     for (name, has) in commands.iter().zip(&has) {
         nodes.push(ros.node(NAMESPACE, name, has)?);
     }
-    let all: Vec<(_, &dyn Fn(&str) -> bool)> = nodes
+    let all: Vec<(_, Has<'_>)> = nodes
         .iter()
         .zip(&has)
-        .map(|(node, has)| (node.name.clone(), has as &dyn Fn(&str) -> bool))
+        .map(|(node, has)| (node.name.clone(), has as Has<'_>))
         .collect();
     ros.check(&all, |node, name| {
         eprintln!("eecvs-ros: --ros-args: {node}: {name} is no parameter of a node here");

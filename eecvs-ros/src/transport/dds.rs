@@ -164,7 +164,10 @@ impl Publisher for DdsPublisher {
     fn publish(&mut self, cdr: &[u8]) -> Result<()> {
         let fields = cdr.strip_prefix(&ENCAPSULATION).unwrap_or_default();
         self.latest = Some(Instant::now());
-        let published = self.publisher.publish(Raw(fields.to_vec()));
+        // Fragments are not padded below: Cyclone DDS drops a message whose last one does not end with a word.
+        let mut fields = fields.to_vec();
+        fields.resize(fields.len().next_multiple_of(4), 0);
+        let published = self.publisher.publish(Raw(fields));
         published.map_err(|error| anyhow!("{}: {error:?}", self.topic))
     }
 

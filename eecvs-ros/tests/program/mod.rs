@@ -1,13 +1,11 @@
-//! What the tests over a network share: programs that run beside the test, and domains of their own.
+//! Programs that run beside a test, in domains of their own.
 
-use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use eecvs_ros::transport::Qos;
 
 /// Enough for everything that a test sends.
-#[allow(dead_code)]
 pub const QOS: Qos = Qos {
     depth: 10_000,
     reliable: false,
@@ -21,7 +19,6 @@ pub struct Program {
 
 impl Program {
     /// `eecvs-ros` with arguments, in a domain, on this computer alone.
-    #[allow(dead_code)]
     pub fn eecvs_ros(domain: u16, arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_eecvs-ros"));
         command.args(arguments);
@@ -83,10 +80,4 @@ impl Drop for Program {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
-}
-
-/// The root of the project.
-#[allow(dead_code)]
-pub fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
 }
