@@ -11,7 +11,7 @@ use host_harness::cmd::output::end;
 use usb_bridge::stop::Stop;
 
 use crate::arguments::{Has, NodeArguments, RosArguments};
-use crate::node::{Context, NAMESPACE, decode, density, emulate, encode};
+use crate::node::{Context, NAMESPACE, decode, delay, density, emulate, encode};
 use crate::operator::{Operator, Operators};
 use crate::transport::Transport;
 use crate::transport::dds::Dds;
@@ -63,6 +63,7 @@ enum Command {
     Encode(encode::Encode),
     Decode(decode::Decode),
     Density(density::Monitor),
+    Delay(delay::Delay),
     Compose(Compose),
 }
 
@@ -234,6 +235,7 @@ impl Command {
             Self::Encode(_) => "encode",
             Self::Decode(_) => "decode",
             Self::Density(_) => "density",
+            Self::Delay(_) => "delay",
             Self::Compose(_) => "compose",
         }
     }
@@ -245,7 +247,7 @@ impl Command {
             Self::Encode(_) => encode::PUBLISHES,
             Self::Decode(_) => decode::PUBLISHES,
             Self::Density(_) => density::PUBLISHES,
-            Self::Compose(_) => &[],
+            Self::Delay(_) | Self::Compose(_) => &[],
         }
     }
 
@@ -255,6 +257,7 @@ impl Command {
             Self::Encode(node) => node.run(context, operators),
             Self::Decode(node) => node.run(context, operators),
             Self::Density(node) => node.run(context),
+            Self::Delay(node) => node.run(context),
             Self::Compose(_) => bail!("compose is no node"),
         }
     }

@@ -10,7 +10,7 @@ use anyhow::Result;
 use eecvs_nostd::{Event, Sensor};
 use host_harness::formats::input::Batch;
 use host_harness::formats::ros::fields::Serialisation;
-use host_harness::formats::ros::message::{Content, Head, Kind};
+use host_harness::formats::ros::message::{Head, Kind};
 use host_harness::formats::ros::message_events::MessageEvents;
 use host_harness::formats::{BATCH_EVENTS, EventReader, Pause, Skipped};
 use usb_bridge::stop::Stop;
@@ -37,8 +37,32 @@ pub struct Received {
     pub why_refused: Option<String>,
     /// Events.
     pub events: u64,
-    /// The computer's time in the header of the latest message.
-    pub stamp: Time,
+    /// The latest two messages whose events were read: the computer's time in their headers, and the time of their
+    /// latest event.
+    pub stamps: [Option<(Time, u64)>; 2],
+}
+
+impl Received {
+    /// The computer's time at a time of the sensor: between the stamps of the latest two messages where it lies
+    /// between their events, or as far behind the latest one as the sensor's time goes on.
+    #[must_use]
+    pub fn stamp_at(&self, t_us: u64) -> Time {
+        let Some((stamp, last_us)) = self.stamps[1] else {
+            return Time::default();
+        };
+        if t_us >= last_us {
+            let behind_us = i64::try_from(t_us - last_us).unwrap_or(i64::MAX);
+            return Time::from_ns(stamp.ns().saturating_add(behind_us.saturating_mul(1000)));
+        }
+        match self.stamps[0] {
+            Some((before, before_us)) if before_us < last_us && before < stamp => {
+                let part = t_us.saturating_sub(before_us) as f64 / (last_us - before_us) as f64;
+                let apart_ns = (stamp.ns() - before.ns()) as f64;
+                Time::from_ns(before.ns() + (apart_ns * part) as i64)
+            }
+            _ => stamp,
+        }
+    }
 }
 
 /// What has come so far, for those who watch while the reader is in use.
@@ -65,6 +89,8 @@ pub struct PacketReader {
     told: (u32, u32),
     received: Watch,
     clock: Clock,
+    /// Stamp of the message that is read.
+    stamp: Time,
     is_reading: bool,
     ended: bool,
 }
@@ -103,10 +129,6 @@ fn begin(cdr: &[u8]) -> Result<Head, String> {
     Head::read(cdr, Kind::EventPacket, Serialisation::Cdr).map_err(|(_, what)| what)
 }
 
-fn stamp(head: &Head) -> Time {
-    Time::from_ns(i64::try_from(head.stamp_ns).unwrap_or(i64::MAX))
-}
-
 fn sensor(head: &Head) -> Option<Sensor> {
     let side = |side: u32| u16::try_from(side).ok();
     Sensor::new(side(head.width)?, side(head.height)?)
@@ -136,7 +158,6 @@ impl PacketReader {
                 }
             };
             received.sequence.follow(head.sequence);
-            received.stamp = stamp(&head);
             let mut reader = Self {
                 subscription,
                 stop: stop.clone(),
@@ -145,10 +166,11 @@ impl PacketReader {
                 told: (head.width, head.height),
                 received: Arc::new(Mutex::new(received)),
                 clock: Clock::default(),
+                stamp: Time::default(),
                 is_reading: false,
                 ended: false,
             };
-            reader.start(cdr, head.content);
+            reader.start(cdr, &head);
             return Ok(Some(reader));
         }
         Ok(None)
@@ -160,8 +182,9 @@ impl PacketReader {
         Arc::clone(&self.received)
     }
 
-    fn start(&mut self, cdr: Vec<u8>, content: Content) {
-        self.decoder.take(cdr, content);
+    fn start(&mut self, cdr: Vec<u8>, head: &Head) {
+        self.decoder.take(cdr, head.content);
+        self.stamp = Time::from_ns(i64::try_from(head.stamp_ns).unwrap_or(i64::MAX));
         self.is_reading = true;
     }
 
@@ -183,7 +206,6 @@ impl PacketReader {
         received.packets += 1;
         if let Ok(head) = &head {
             received.sequence.follow(head.sequence);
-            received.stamp = stamp(head);
         }
         drop(received);
         match head {
@@ -195,7 +217,7 @@ impl PacketReader {
                     head.width, head.height
                 ));
             }
-            Ok(head) => self.start(cdr, head.content),
+            Ok(head) => self.start(cdr, &head),
         }
         Ok(())
     }
@@ -230,7 +252,16 @@ impl EventReader for PacketReader {
         let read = events.len() - before;
         let now = Instant::now();
         if let Some(last) = events.last().filter(|_| read > 0) {
-            lock(&self.received).events += read as u64;
+            let mut received = lock(&self.received);
+            received.events += read as u64;
+            match &mut received.stamps {
+                [_, Some((stamp, last_us))] if *stamp == self.stamp => *last_us = last.t_us,
+                [before, latest] => {
+                    *before = *latest;
+                    *latest = Some((self.stamp, last.t_us));
+                }
+            }
+            drop(received);
             self.clock.note(now, last.t_us);
         } else {
             let silence = self
@@ -257,5 +288,46 @@ impl EventReader for PacketReader {
 
     fn skipped(&self) -> &Skipped {
         self.decoder.skipped()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stamps_lie_between_those_of_messages() {
+        let at = |ms: i64| Time::from_ns(ms * 1_000_000);
+        let mut received = Received::default();
+        assert_eq!(received.stamp_at(5), Time::default());
+        received.stamps = [None, Some((at(100), 7000))];
+        assert_eq!(received.stamp_at(6000), at(100));
+        assert_eq!(received.stamp_at(7000), at(100));
+        assert_eq!(received.stamp_at(9000), at(102));
+        // Played at half its speed.
+        received.stamps = [Some((at(96), 5000)), Some((at(100), 7000))];
+        assert_eq!(received.stamp_at(6000), at(98));
+        assert_eq!(received.stamp_at(4000), at(96));
+        assert_eq!(received.stamp_at(u64::MAX).sec, i32::MAX);
+    }
+
+    #[test]
+    fn time_passes_in_silence_as_fast_as_it_was_played() {
+        let start = Instant::now();
+        let mut clock = Clock::default();
+        assert_eq!(clock.passed_us(start), None);
+        clock.note(start, 1_000_000);
+        assert_eq!(clock.passed_us(start + QUIET / 2), None);
+        let second = Duration::from_secs(1);
+        for (speed_us, silence_us) in [
+            (500_000, 500_000),
+            (1_000_000, 1_000_000),
+            (9_000_000, 1_000_000),
+        ] {
+            let mut clock = clock;
+            clock.note(start + second, 1_000_000 + speed_us);
+            let passed_us = clock.passed_us(start + 2 * second + QUIET).unwrap();
+            assert_eq!(passed_us, 1_000_000 + speed_us + silence_us);
+        }
     }
 }

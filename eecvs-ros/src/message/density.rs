@@ -8,7 +8,7 @@ use super::{Header, Message, Type};
 /// Density of a window of events, and the transform that it chooses.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Density {
-    /// The computer's time at the arrival of the window's last events.
+    /// The computer's time at the window's end.
     pub header: Header,
     /// Number of the message: a gap is a loss.
     pub seq: u64,

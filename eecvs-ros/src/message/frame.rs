@@ -8,7 +8,7 @@ use super::{Header, Message, Type};
 /// One frame of a window of events.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Frame {
-    /// The computer's time at the arrival of the window's last events.
+    /// The computer's time at the window's end.
     pub header: Header,
     /// Number of the message: a gap is a loss.
     pub seq: u64,

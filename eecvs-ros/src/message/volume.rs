@@ -8,7 +8,7 @@ use super::{Header, Message, Type};
 /// A part of the dense volume of a window: channels x height x width, in C order.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Volume {
-    /// The computer's time at the arrival of the window's last events.
+    /// The computer's time at the window's end.
     pub header: Header,
     /// Number of the message: a gap is a loss.
     pub seq: u64,

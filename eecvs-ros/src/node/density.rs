@@ -163,8 +163,9 @@ impl Outputs<'_> {
     fn window(&mut self, window: WindowDensity, sensor: Sensor, watch: &Watch) -> Result<()> {
         let received = look(watch);
         let duration_s = f64::from(window.duration_us) * 1e-6;
+        let end_us = window.t0_us.saturating_add(window.duration_us.into());
         let message = Density {
-            header: self.header(received.stamp),
+            header: self.header(received.stamp_at(end_us)),
             seq: self.seq,
             t0_us: window.t0_us,
             duration_us: window.duration_us,

@@ -10,7 +10,7 @@ use host_harness::encode::{EncodeSummary, Limits, WINDOW_EVENTS};
 
 use super::{Context, Now, QosOptions};
 use crate::message::{EventPacket, Frame, Header};
-use crate::operator::{Job, Operators};
+use crate::operator::{Job, Operators, Span};
 use crate::packet_reader::{PacketReader, Received, look};
 
 /// Topics that it publishes.
@@ -86,11 +86,16 @@ impl Encode {
         };
         let summary = operator.encode(Box::new(reader), &job, &mut |encoded| {
             let received = look(&watch);
-            frame.header.stamp = received.stamp;
-            frame.t0_us = encoded.span.t0_us;
-            frame.duration_us = encoded.span.duration_us;
-            frame.height = encoded.span.sensor.height.into();
-            frame.width = encoded.span.sensor.width.into();
+            let Span {
+                sensor,
+                t0_us,
+                duration_us,
+            } = encoded.span;
+            frame.header.stamp = received.stamp_at(t0_us.saturating_add(duration_us.into()));
+            frame.t0_us = t0_us;
+            frame.duration_us = duration_us;
+            frame.height = sensor.height.into();
+            frame.width = sensor.width.into();
             frame.events = encoded.events;
             frame.data.clear();
             frame.data.extend_from_slice(encoded.data);

@@ -9,6 +9,7 @@
 //! for each camera. A driver that is called `event_camera` publishes `~/events` there.
 
 pub mod decode;
+pub mod delay;
 pub mod density;
 pub mod emulate;
 pub mod encode;

@@ -1,0 +1,120 @@
+//! `delay`: how long after its window's end a frame arrives, and what was lost on the way.
+
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use clap::Args;
+use host_harness::cmd::output::{print, print_json, rows};
+use serde::Serialize;
+
+use super::{Context, QosOptions, receive};
+use crate::message::{Frame, Time};
+use crate::sequence::Sequence;
+
+/// Measure how long after their windows' end frames arrive, and what is lost, on `frames`
+#[derive(Debug, Clone, Args)]
+pub struct Delay {
+    /// Seconds from the first frame on
+    #[arg(long, value_name = "S", default_value_t = 10)]
+    seconds: u32,
+
+    /// Frames at the beginning that do not count
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    skip: usize,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+
+    #[command(flatten)]
+    qos: QosOptions,
+}
+
+/// Longest wait between two looks at whether to stop.
+const WAIT: Duration = Duration::from_millis(20);
+
+/// What was measured; the fields are the JSON keys.
+#[derive(Debug, Serialize)]
+struct Measured {
+    frames: usize,
+    frames_lost: u64,
+    frames_malformed: u64,
+    events: u64,
+    bytes: u64,
+    seconds: f64,
+    events_per_s: f64,
+    delay_p50_ms: f64,
+    delay_p99_ms: f64,
+    delay_max_ms: f64,
+}
+
+impl Delay {
+    /// Measures and prints.
+    ///
+    /// # Errors
+    /// The transport, or stdout.
+    pub fn run(self, mut context: Context) -> Result<()> {
+        let mut subscription = context.subscription::<Frame>("frames", self.qos.qos())?;
+        let mut delays_ns = Vec::new();
+        let mut sequence = Sequence::default();
+        let (mut malformed, mut events, mut bytes) = (0, 0, 0);
+        let mut started = None;
+        let length = Duration::from_secs(self.seconds.into());
+        while !context.stop.is_asked() {
+            if started.is_some_and(|started: Instant| started.elapsed() >= length) {
+                break;
+            }
+            let Some(frame) = receive::<Frame>(subscription.as_mut(), WAIT)? else {
+                continue;
+            };
+            let now = Time::now();
+            started.get_or_insert_with(Instant::now);
+            let Ok(frame) = frame else {
+                malformed += 1;
+                continue;
+            };
+            sequence.follow(frame.seq);
+            events += u64::from(frame.events);
+            bytes += frame.data.len() as u64;
+            delays_ns.push(now.ns() - frame.header.stamp.ns());
+        }
+        let seconds = started.map_or(0.0, |started| started.elapsed().as_secs_f64());
+        delays_ns.drain(..self.skip.min(delays_ns.len()));
+        delays_ns.sort_unstable();
+        let delay = |part: f64| match delays_ns.len() {
+            0 => 0.0,
+            // The nearest rank.
+            n => delays_ns[((n as f64 * part).ceil() as usize).clamp(1, n) - 1] as f64 * 1e-6,
+        };
+        let measured = Measured {
+            frames: delays_ns.len(),
+            frames_lost: sequence.lost,
+            frames_malformed: malformed,
+            events,
+            bytes,
+            seconds,
+            events_per_s: if seconds > 0.0 {
+                events as f64 / seconds
+            } else {
+                0.0
+            },
+            delay_p50_ms: delay(0.5),
+            delay_p99_ms: delay(0.99),
+            delay_max_ms: delay(1.0),
+        };
+        if self.json {
+            return print_json(&measured);
+        }
+        print(&rows([
+            ("frames", measured.frames.to_string()),
+            ("  lost", measured.frames_lost.to_string()),
+            ("  malformed", measured.frames_malformed.to_string()),
+            ("events", measured.events.to_string()),
+            ("events per second", format!("{:.0}", measured.events_per_s)),
+            ("bytes", measured.bytes.to_string()),
+            ("delay, median, ms", format!("{:.3}", measured.delay_p50_ms)),
+            ("  99th percentile", format!("{:.3}", measured.delay_p99_ms)),
+            ("  largest", format!("{:.3}", measured.delay_max_ms)),
+        ]))
+    }
+}
