@@ -29,9 +29,6 @@ cd "$(dirname "$0")"
 # Features that are off by default but tested, in every build of the whole workspace alike.
 FEATURES=(--features host-harness/onnx,host-harness/db3)
 
-# eecvs-ros, whose dependencies take minutes, has a stage of its own.
-WORKSPACE=(--workspace --exclude eecvs-ros)
-
 # Notes what a stage leaves out.
 skip() { echo "skipped: $1"; echo "$1" >>"$SKIPPED"; }
 
@@ -69,9 +66,9 @@ lint() {
         cargo fmt --all --check --manifest-path firmware/Cargo.toml
     fi
     if component clippy clippy; then
-        cargo clippy "${WORKSPACE[@]}" --all-targets "${FEATURES[@]}" -- -D warnings
+        cargo clippy --workspace --all-targets "${FEATURES[@]}" -- -D warnings
     fi
-    RUSTDOCFLAGS="-D warnings" cargo doc "${WORKSPACE[@]}" --no-deps --quiet
+    RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 }
 
 # What mocks a device for the real libusb, installed if that is possible.
@@ -95,7 +92,7 @@ unit() {
     emulator || true
     target thumbv7em-none-eabihf || true
     # The dev profile checks arithmetic overflow and debug assertions.
-    cargo test "${WORKSPACE[@]}" "${FEATURES[@]}"
+    cargo test --workspace "${FEATURES[@]}"
     # The bits must not depend on the profile.
     cargo test --release -p eecvs-tests --test golden --test wire_format
     host_instructions
@@ -125,7 +122,7 @@ metrics() {
         fi
     fi
     EECVS_PYTHON=$PWD/$folder/bin/python \
-        cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test metrics_reference -- --nocapture
+        cargo test --workspace "${FEATURES[@]}" --test metrics_reference -- --nocapture
 }
 
 # Each package is wanted, none is a must: a decoder that cannot be installed is left out, by its own line.
@@ -141,7 +138,7 @@ peers() {
     # One of its modules is used, which needs none of the rest.
     "$folder/bin/pip" install -q --no-deps tonic || skip "peers: pip cannot install tonic"
     EECVS_PYTHON=$PWD/$folder/bin/python \
-        cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test formats_peers -- --nocapture
+        cargo test --workspace "${FEATURES[@]}" --test formats_peers -- --nocapture
 }
 
 # The name of a browser that the page is opened in, as host-harness/tests/browser/mod.rs has them.
@@ -163,7 +160,7 @@ page() {
         fi
     fi
     # Named, it must run.
-    EECVS_BROWSER=$name cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test report_page -- --nocapture
+    EECVS_BROWSER=$name cargo test --workspace "${FEATURES[@]}" --test report_page -- --nocapture
 }
 
 # A target's core library, installed if rustup may.
@@ -233,8 +230,8 @@ firmware() {
     [ "$status" = 1 ] || { echo "a stack overflow ended with status $status"; return 1; }
     # Last: until the unit stage is built, it waits. Of the whole workspace: of a part, the dependencies have
     # other features and are built again.
-    ran unit || cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test mcu
-    cargo test "${WORKSPACE[@]}" "${FEATURES[@]}" --test firmware_image -- --nocapture
+    ran unit || cargo test --workspace "${FEATURES[@]}" --test mcu
+    cargo test --workspace "${FEATURES[@]}" --test firmware_image -- --nocapture
 }
 
 usb() {
@@ -257,14 +254,8 @@ ros() {
         [ "$status" != 77 ] || skip "ros: $peer: see above what is missing"
         [ "$status" = 0 ] || [ "$status" = 77 ] || return 1
     done
-    if component clippy clippy; then
-        cargo clippy -p eecvs-ros --all-targets -- -D warnings
-    fi
-    RUSTDOCFLAGS="-D warnings" cargo doc -p eecvs-ros --no-deps --quiet
-    if [ -e "$folder/stamp" ]; then
-        export EECVS_ROS_PEERS=$PWD/$folder
-    fi
-    cargo test -p eecvs-ros
+    [ -e "$folder/stamp" ] || return 0
+    EECVS_ROS_PEERS=$PWD/$folder cargo test --workspace "${FEATURES[@]}" --test peers -- --nocapture
 }
 
 usb-recordings() {
@@ -290,7 +281,8 @@ fuzz() {
             return
         fi
     fi
-    fuzz/run.sh "${FUZZ_SECONDS:-2}"
+    # A panic tells its line without.
+    CARGO_PROFILE_RELEASE_DEBUG=0 fuzz/run.sh "${FUZZ_SECONDS:-2}"
 }
 
 # The demo's table in a document, without the rate, which is the machine's.

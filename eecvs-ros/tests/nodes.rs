@@ -3,6 +3,8 @@
 mod program;
 
 use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
 use std::time::Duration;
 
 use eecvs_nostd::{Event, Sensor};
@@ -18,6 +20,9 @@ use usb_bridge::stop::Stop;
 
 /// How long programs may take to find each other and to end.
 const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The program.
+const EECVS_ROS: &str = env!("CARGO_BIN_EXE_eecvs-ros");
 
 /// The events of a scene as `emulate` publishes it.
 fn scene(duration_us: u64) -> Vec<Event> {
@@ -64,17 +69,22 @@ fn emulated(domain: u16, duration_us: u64) -> Program {
     Program::eecvs_ros(domain, &arguments)
 }
 
-/// Runs emulate, encode and decode as programs, and returns what comes out.
-fn through_programs(domain: u16, encode: &[&str], duration_us: u64) -> Vec<Event> {
+/// Runs emulate, and encode and decode by `program`, and returns what comes out.
+fn through_programs(program: &Path, domain: u16, encode: &[&str], duration_us: u64) -> Vec<Event> {
     let transport = Dds::join(domain, true).unwrap();
     let name = NodeName::new("/", "test").unwrap();
     let mut node = transport.node(&name, &[]).unwrap();
     let kind = EventPacket::TYPE;
     let subscription = node.subscription("/event_camera/decoded/events", kind, QOS);
-    let decode = Program::eecvs_ros(domain, &["decode", "--idle-s", "3"]);
+    let start = |arguments: &[&str]| {
+        let mut command = Command::new(program);
+        command.args(arguments);
+        Program::start(arguments[0], domain, command)
+    };
+    let decode = start(&["decode", "--idle-s", "3"]);
     let mut arguments = vec!["encode", "--idle-s", "2"];
     arguments.extend(encode);
-    let encode = Program::eecvs_ros(domain, &arguments);
+    let encode = start(&arguments);
     // Until encode and decode have found each other, and the test; then encode is who waits for events.
     std::thread::sleep(Duration::from_secs(2));
     let emulate = emulated(domain, duration_us);
@@ -102,11 +112,26 @@ fn every_event_comes_through_three_programs() {
             vec!["--coder", "dense", "--ros-args", "-p", "window_us:=20000"],
         ),
     ] {
-        let got = through_programs(domain, &encode, 400_000);
+        let got = through_programs(Path::new(EECVS_ROS), domain, &encode, 400_000);
         let total: usize = want.values().sum();
         assert_eq!(got.len(), total);
         assert!(counted(&got) == want, "other events");
     }
+}
+
+/// The example's: a program of its own, in which our operator is one of two.
+#[test]
+fn an_operator_of_another_crate_is_found_by_its_name() {
+    let folder = Path::new(EECVS_ROS).parent().unwrap();
+    let program = folder.join("examples/operator");
+    let is_there = program.exists();
+    assert!(
+        is_there,
+        "of one test alone, first: cargo build -p eecvs-ros --example operator"
+    );
+    let encode = ["--operator", "steps", "--window-us", "5000"];
+    let got = through_programs(&program, 63, &encode, 200_000);
+    assert!(counted(&got) == counted(&scene(200_000)));
 }
 
 #[test]
