@@ -11,7 +11,9 @@ use host_harness::cmd::output::end;
 use usb_bridge::stop::Stop;
 
 use crate::arguments::{Has, NodeArguments, RosArguments};
-use crate::node::{Context, NAMESPACE, decode, delay, density, emulate, encode};
+use crate::node::{
+    Context, NAMESPACE, bridge, decode, delay, density, emulate, encode, play, record,
+};
 use crate::operator::{Operator, Operators};
 use crate::transport::Transport;
 use crate::transport::dds::Dds;
@@ -60,10 +62,13 @@ enum Name {
 #[command(args_override_self = true)]
 enum Command {
     Emulate(emulate::Emulate),
+    Bridge(bridge::Bridge),
     Encode(encode::Encode),
     Decode(decode::Decode),
     Density(density::Monitor),
     Delay(delay::Delay),
+    Record(record::Record),
+    Play(play::Play),
     Compose(Compose),
 }
 
@@ -232,10 +237,13 @@ impl Command {
     const fn name(&self) -> &'static str {
         match self {
             Self::Emulate(_) => "emulate",
+            Self::Bridge(_) => "bridge",
             Self::Encode(_) => "encode",
             Self::Decode(_) => "decode",
             Self::Density(_) => "density",
             Self::Delay(_) => "delay",
+            Self::Record(_) => "record",
+            Self::Play(_) => "play",
             Self::Compose(_) => "compose",
         }
     }
@@ -244,20 +252,24 @@ impl Command {
     const fn publishes(&self) -> &'static [&'static str] {
         match self {
             Self::Emulate(_) => emulate::PUBLISHES,
+            Self::Bridge(_) => bridge::PUBLISHES,
             Self::Encode(_) => encode::PUBLISHES,
             Self::Decode(_) => decode::PUBLISHES,
             Self::Density(_) => density::PUBLISHES,
-            Self::Delay(_) | Self::Compose(_) => &[],
+            Self::Delay(_) | Self::Record(_) | Self::Play(_) | Self::Compose(_) => &[],
         }
     }
 
     fn run(self, context: Context, operators: &Operators) -> Result<()> {
         match self {
             Self::Emulate(node) => node.run(context),
+            Self::Bridge(node) => node.run(context),
             Self::Encode(node) => node.run(context, operators),
             Self::Decode(node) => node.run(context, operators),
             Self::Density(node) => node.run(context),
             Self::Delay(node) => node.run(context),
+            Self::Record(node) => node.run(context),
+            Self::Play(node) => node.run(context),
             Self::Compose(_) => bail!("compose is no node"),
         }
     }

@@ -4,6 +4,7 @@
 //! turns events into frames and back. [`run`] is the command `eecvs-ros`, with operators of another crate if need be.
 
 pub mod arguments;
+pub mod bag;
 mod command;
 pub mod message;
 pub mod names;

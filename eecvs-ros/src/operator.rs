@@ -150,7 +150,7 @@ impl Operator for Eecvs {
             hot: &hot,
             ..Codec::from(config)
         };
-        let mut frames = Frames { put, failed: None };
+        let mut frames = frames(put);
         let encoded = encode(
             reader.as_mut(),
             codec,
@@ -159,10 +159,7 @@ impl Operator for Eecvs {
             &mut frames,
             &mut |_| {},
         );
-        match frames.failed {
-            Some(failed) => Err(failed),
-            None => encoded,
-        }
+        frames.finish(encoded)
     }
 
     fn decoder(&self) -> Box<dyn Decoder> {
@@ -170,10 +167,25 @@ impl Operator for Eecvs {
     }
 }
 
-/// Takes the encoder's frames: one in each write.
-struct Frames<'p> {
+/// What takes frames of docs/wire-format.md, one in each write, and gives them to `put`.
+pub fn frames<'p>(put: &'p mut dyn FnMut(Encoded<'_>) -> Result<()>) -> Frames<'p> {
+    Frames { put, failed: None }
+}
+
+/// See [`frames`].
+pub struct Frames<'p> {
     put: &'p mut dyn FnMut(Encoded<'_>) -> Result<()>,
     failed: Option<anyhow::Error>,
+}
+
+impl Frames<'_> {
+    /// How the writing went: what `put` has said is the cause.
+    ///
+    /// # Errors
+    /// What `put` has said, or `written`'s error.
+    pub fn finish<T>(self, written: Result<T>) -> Result<T> {
+        self.failed.map_or(written, Err)
+    }
 }
 
 impl Write for Frames<'_> {

@@ -13,7 +13,7 @@ use eecvs_ros::names::NodeName;
 use eecvs_ros::packet_reader::{PacketReader, look};
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
-use host_harness::formats::EventReader;
+use host_harness::formats::{EventReader, create};
 use host_harness::scene::{Preset, SceneConfig, emulate};
 use program::{Program, QOS};
 use usb_bridge::stop::Stop;
@@ -132,6 +132,46 @@ fn an_operator_of_another_crate_is_found_by_its_name() {
     let encode = ["--operator", "steps", "--window-us", "5000"];
     let got = through_programs(&program, 63, &encode, 200_000);
     assert!(counted(&got) == counted(&scene(200_000)));
+}
+
+/// A simulated camera, whose link loses nothing.
+#[test]
+fn a_cameras_events_are_published() {
+    let domain = 64;
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("scene.aedat4");
+    let want = scene(300_000);
+    let sensor = Sensor::new(346, 260).unwrap();
+    let mut writer = create(&recording, sensor).unwrap();
+    writer.write(&want).unwrap();
+    writer.finish().unwrap();
+    let transport = Dds::join(domain, true).unwrap();
+    let name = NodeName::new("/", "test").unwrap();
+    let mut node = transport.node(&name, &[]).unwrap();
+    let subscription = node.subscription("/event_camera/events", EventPacket::TYPE, QOS);
+    let device = format!("sim:davis346:{}", recording.display());
+    // Its first events come before anyone has found it.
+    let arguments = [
+        "bridge",
+        "--device",
+        &device,
+        "--rate",
+        "0.2x",
+        "--ros-args",
+        "-p",
+        "frame_id:=left",
+    ];
+    let bridge = Program::eecvs_ros(domain, &arguments);
+    let stop = Stop::default();
+    let idle = Some(Duration::from_secs(3));
+    let reader = PacketReader::begin(subscription.unwrap(), &stop, idle);
+    let reader = reader.unwrap().unwrap();
+    assert_eq!(reader.sensor(), sensor);
+    let got = events(reader);
+    bridge.finish(PATIENCE);
+    let missing = want.len() - got.len();
+    assert!(missing < want.len() / 2, "{missing} of {}", want.len());
+    assert!(counted(&want[missing..]) == counted(&got));
 }
 
 #[test]

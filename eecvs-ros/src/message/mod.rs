@@ -13,6 +13,7 @@ mod image;
 mod volume;
 
 use byteorder::LittleEndian;
+use host_harness::formats::ros::fields::{Fields, Serialisation};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -68,6 +69,26 @@ pub const TYPES: [Type; 6] = [
     Image::TYPE,
     DiagnosticArray::TYPE,
 ];
+
+/// The number of a message among its publisher's, where its type has one.
+#[must_use]
+pub fn sequence_of(kind: Type, cdr: &[u8]) -> Option<u64> {
+    let mut fields = Fields::new(cdr, Serialisation::Cdr).ok()?;
+    let mut number = || {
+        // The header: its stamp and its name.
+        fields.u32()?;
+        fields.u32()?;
+        fields.sequence()?;
+        if kind.name == EventPacket::TYPE.name {
+            // Rows and columns.
+            fields.u32()?;
+            fields.u32()?;
+        }
+        fields.u64()
+    };
+    let has_one = [EventPacket::TYPE, Frame::TYPE, Density::TYPE, Volume::TYPE].contains(&kind);
+    has_one.then(|| number().ok()).flatten()
+}
 
 /// Appends a message's bytes.
 ///

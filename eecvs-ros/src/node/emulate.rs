@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use clap::Args;
 use eecvs_nostd::{Event, Sensor};
 use host_harness::cmd::options::SizeOptions;
@@ -81,6 +81,12 @@ pub struct PacketOptions {
 }
 
 impl PacketOptions {
+    /// Name of the sensor.
+    #[must_use]
+    pub fn frame_id(&self) -> &str {
+        &self.frame_id
+    }
+
     /// What packs the events of a sensor.
     #[must_use]
     pub fn packer(&self, sensor: Sensor) -> Packer {
@@ -108,7 +114,7 @@ impl Emulate {
     /// A recording that cannot be read, or the transport.
     pub fn run(self, mut context: Context) -> Result<()> {
         let mut sender = context.publisher::<EventPacket>("events", self.qos.qos())?;
-        let (sensor, _) = self.open().map(|reader| (reader.sensor(), ()))?;
+        let sensor = self.open()?.sensor();
         context.wait_for_subscriber(&sender, Duration::from_secs(self.wait_s.into()));
         let mut packer = self.packets.packer(sensor);
         let mut pacer = Pacer::new(self.rate);
@@ -224,6 +230,11 @@ impl Pacer {
         Self { pace, start: None }
     }
 
+    /// Time begins anew with the next event.
+    pub const fn restart(&mut self) {
+        self.start = None;
+    }
+
     /// Waits until an event of time `t_us`, the `count`th, is due; returns how late that is, in microseconds.
     pub fn wait(&mut self, t_us: u64, count: u64, stop: &usb_bridge::stop::Stop) -> u64 {
         let (at, first_us) = *self.start.get_or_insert_with(|| (Instant::now(), t_us));
@@ -249,15 +260,5 @@ impl Pacer {
             }
             std::thread::sleep(left.min(LOOK));
         }
-    }
-}
-
-impl Emulate {
-    /// Whether there is anything to publish, before a node is announced.
-    ///
-    /// # Errors
-    /// A recording that cannot be read.
-    pub fn check(&self) -> Result<()> {
-        self.open().map(drop).context("nothing to emulate")
     }
 }

@@ -8,8 +8,9 @@ use eecvs_nostd::OUTPUT_BYTES_MIN;
 use host_harness::cmd::encode::CodecOptions;
 use host_harness::encode::{EncodeSummary, Limits, WINDOW_EVENTS};
 
+use super::frames::FrameSender;
 use super::{Context, Now, QosOptions};
-use crate::message::{EventPacket, Frame, Header};
+use crate::message::EventPacket;
 use crate::operator::{Job, Operators, Span};
 use crate::packet_reader::{PacketReader, Received, look};
 
@@ -60,7 +61,7 @@ impl Encode {
         })?;
         let qos = self.qos.qos();
         let subscription = context.subscription::<EventPacket>("events", qos)?;
-        let mut sender = context.publisher::<Frame>("frames", qos)?;
+        let mut sender = FrameSender::new(&mut context, qos, operator.name(), &self.frame_id)?;
         let idle = self.idle_s.map(|s| Duration::from_secs(s.into()));
         let Some(reader) = PacketReader::begin(subscription, &context.stop, idle)? else {
             return Ok(());
@@ -68,14 +69,6 @@ impl Encode {
         let watch = reader.watch();
         let mut now = Now::every(TELL);
         let mut told = Received::default();
-        let mut frame = Frame {
-            header: Header {
-                frame_id: self.frame_id.clone(),
-                ..Header::default()
-            },
-            operator_name: operator.name().to_owned(),
-            ..Frame::default()
-        };
         let job = Job {
             codec: &self.codec,
             limits: Limits {
@@ -87,20 +80,10 @@ impl Encode {
         let summary = operator.encode(Box::new(reader), &job, &mut |encoded| {
             let received = look(&watch);
             let Span {
-                sensor,
-                t0_us,
-                duration_us,
+                t0_us, duration_us, ..
             } = encoded.span;
-            frame.header.stamp = received.stamp_at(t0_us.saturating_add(duration_us.into()));
-            frame.t0_us = t0_us;
-            frame.duration_us = duration_us;
-            frame.height = sensor.height.into();
-            frame.width = sensor.width.into();
-            frame.events = encoded.events;
-            frame.data.clear();
-            frame.data.extend_from_slice(encoded.data);
-            sender.send(&frame)?;
-            frame.seq += 1;
+            let end_us = t0_us.saturating_add(duration_us.into());
+            sender.send(encoded, received.stamp_at(end_us))?;
             if now.is_due() {
                 tell_losses(&context, &received, &mut told);
             }

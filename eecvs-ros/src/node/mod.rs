@@ -8,11 +8,15 @@
 //! Topics are relative to the namespace, which is `/event_camera` unless `-r __ns:=` says otherwise: one namespace
 //! for each camera. A driver that is called `event_camera` publishes `~/events` there.
 
+pub mod bridge;
 pub mod decode;
 pub mod delay;
 pub mod density;
 pub mod emulate;
 pub mod encode;
+pub mod frames;
+pub mod play;
+pub mod record;
 
 use std::time::{Duration, Instant};
 
@@ -21,7 +25,7 @@ use clap::Args;
 use usb_bridge::stop::Stop;
 
 use crate::arguments::NodeArguments;
-use crate::message::{Malformed, Message, from_cdr, put_cdr};
+use crate::message::{Malformed, Message, Type, from_cdr, put_cdr};
 use crate::transport::{self, Publisher, Qos, Subscription, Transport};
 
 /// The namespace of the nodes of one camera.
@@ -113,6 +117,40 @@ impl Context {
         self.node.subscription(&topic, M::TYPE, qos)
     }
 
+    /// The absolute name of a topic, remapped.
+    ///
+    /// # Errors
+    /// A name that ROS 2 does not allow.
+    pub fn topic(&self, name: &str) -> Result<String> {
+        self.arguments.topic(name)
+    }
+
+    /// Begins to publish messages that are bytes already, on a topic of this absolute name.
+    ///
+    /// # Errors
+    /// The transport refuses.
+    pub fn publisher_of(
+        &mut self,
+        topic: &str,
+        kind: Type,
+        qos: Qos,
+    ) -> Result<Box<dyn Publisher>> {
+        self.node.publisher(topic, kind, qos)
+    }
+
+    /// Begins to receive messages that stay bytes, of a topic of this absolute name.
+    ///
+    /// # Errors
+    /// The transport refuses.
+    pub fn subscription_of(
+        &mut self,
+        topic: &str,
+        kind: Type,
+        qos: Qos,
+    ) -> Result<Box<dyn Subscription>> {
+        self.node.subscription(topic, kind, qos)
+    }
+
     /// One line on stderr.
     pub fn say(&self, line: &str) {
         eprintln!("eecvs-ros: {}: {line}", self.arguments.name.full());
@@ -120,11 +158,16 @@ impl Context {
 
     /// Waits until somebody has subscribed, or it is to stop, or the time has run.
     pub fn wait_for_subscriber<M>(&self, sender: &Sender<M>, most: Duration) {
+        self.wait_until(most, || sender.subscribers() > 0);
+    }
+
+    /// Waits until somebody `is_there`, or it is to stop, or the time has run.
+    pub fn wait_until(&self, most: Duration, is_there: impl Fn() -> bool) {
         let started = Instant::now();
-        while sender.subscribers() == 0 && !self.stop.is_asked() && started.elapsed() < most {
+        while !is_there() && !self.stop.is_asked() && started.elapsed() < most {
             std::thread::sleep(Duration::from_millis(10));
         }
-        if sender.subscribers() > 0 && !most.is_zero() {
+        if !most.is_zero() && is_there() {
             // It may find this node a moment later than it was found.
             std::thread::sleep(Duration::from_millis(300));
         }

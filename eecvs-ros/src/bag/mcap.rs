@@ -1,0 +1,192 @@
+//! Bags in MCAP files, by the crate `mcap`.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufWriter, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use anyhow::{Context, Result, anyhow};
+use mcap::records::MessageHeader;
+use mcap::sans_io::indexed_reader::{
+    IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder,
+};
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
+use mcap::{Compression, Summary, WriteOptions};
+
+use super::metadata::OFFERS;
+use super::{ReadFile, Stored, Topic, WriteFile};
+use crate::message::Type;
+
+/// Longest record.
+const RECORD_MAX: usize = 1 << 29;
+
+/// Bytes of a chunk, about.
+const CHUNK_BYTES: u64 = 1 << 20;
+
+/// A file that is written.
+pub struct McapWriter {
+    name: String,
+    writer: mcap::Writer<BufWriter<File>>,
+    channels: Vec<u16>,
+}
+
+impl McapWriter {
+    /// Creates the file with its channels.
+    pub fn create(path: &Path, topics: &[(Topic, Type)]) -> Result<Self> {
+        let name = path.display().to_string();
+        let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
+        let begin = || {
+            let mut writer = WriteOptions::new()
+                .profile("ros2")
+                .library(concat!("eecvs ", env!("CARGO_PKG_VERSION")))
+                .compression(Some(Compression::Lz4))
+                .chunk_size(Some(CHUNK_BYTES))
+                .create(BufWriter::new(file))?;
+            let mut channels = Vec::new();
+            for (topic, kind) in topics {
+                let definition = kind.definition.as_bytes();
+                let schema = writer.add_schema(kind.name, "ros2msg", definition)?;
+                let offers = ("offered_qos_profiles".to_owned(), OFFERS.to_owned());
+                let hash = ("topic_type_hash".to_owned(), kind.hash.to_owned());
+                let metadata = BTreeMap::from([offers, hash]);
+                channels.push(writer.add_channel(schema, &topic.name, "cdr", &metadata)?);
+            }
+            Ok((writer, channels))
+        };
+        let (writer, channels) = begin().map_err(|error| failed(&name, &error))?;
+        Ok(Self {
+            name,
+            writer,
+            channels,
+        })
+    }
+}
+
+fn failed(name: &str, error: &mcap::McapError) -> anyhow::Error {
+    anyhow!("{name}: {error}")
+}
+
+impl WriteFile for McapWriter {
+    fn message(&mut self, topic: usize, sequence: u64, time_ns: u64, cdr: &[u8]) -> Result<()> {
+        let header = MessageHeader {
+            channel_id: self.channels.get(topic).copied().context("a topic")?,
+            // MCAP's number has 32 bits and may wrap.
+            sequence: sequence as u32,
+            log_time: time_ns,
+            publish_time: time_ns,
+        };
+        let written = self.writer.write_to_known_channel(&header, cdr);
+        written.map_err(|error| failed(&self.name, &error))
+    }
+
+    fn finish(mut self: Box<Self>, metadata: &str) -> Result<()> {
+        let record = mcap::records::Metadata {
+            name: "rosbag2".to_owned(),
+            metadata: BTreeMap::from([("serialized_metadata".to_owned(), metadata.to_owned())]),
+        };
+        let end = self
+            .writer
+            .write_metadata(&record)
+            .and_then(|()| self.writer.finish());
+        end.map(drop).map_err(|error| failed(&self.name, &error))
+    }
+}
+
+/// A file that is read by its index, in the order of times.
+pub struct McapReader {
+    name: String,
+    file: File,
+    topics: Vec<Topic>,
+    /// Numbers of topics by those of channels.
+    channels: BTreeMap<u16, usize>,
+    reader: IndexedReader,
+    chunk: Vec<u8>,
+}
+
+impl McapReader {
+    /// Opens a file with its summary; messages before `from_ns` are left out.
+    pub fn open(path: &Path, from_ns: u64) -> Result<Self> {
+        let name = path.display().to_string();
+        let mut file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
+        let summary = summary(&mut file).with_context(|| {
+            format!("{name}: has no summary at its end: `eecvs convert` reads what is whole of it")
+        })?;
+        let mut topics = Vec::new();
+        let mut channels = BTreeMap::new();
+        for (id, channel) in &summary.channels {
+            let schema = channel.schema.as_ref();
+            channels.insert(*id, topics.len());
+            topics.push(Topic {
+                name: channel.topic.clone(),
+                kind: schema.map_or_else(String::new, |schema| schema.name.clone()),
+            });
+        }
+        let options = IndexedReaderOptions::new()
+            .with_order(ReadOrder::LogTime)
+            .with_record_length_limit(RECORD_MAX)
+            .starting_at(from_ns);
+        let reader = IndexedReader::new_with_options(&summary, options)
+            .map_err(|error| failed(&name, &error))?;
+        Ok(Self {
+            name,
+            file,
+            topics,
+            channels,
+            reader,
+            chunk: Vec::new(),
+        })
+    }
+}
+
+/// The summary at the end of a file.
+fn summary(file: &mut File) -> Result<Summary> {
+    let options = SummaryReaderOptions::default().with_record_length_limit(RECORD_MAX);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::ReadRequest(n) => {
+                let read = file.read(reader.insert(n))?;
+                reader.notify_read(read);
+            }
+            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
+        }
+    }
+    reader.finish().context("it is empty")
+}
+
+impl ReadFile for McapReader {
+    fn topics(&self) -> &[Topic] {
+        &self.topics
+    }
+
+    fn next(&mut self) -> Result<Option<Stored>> {
+        loop {
+            let Some(event) = self.reader.next_event() else {
+                return Ok(None);
+            };
+            match event.map_err(|error| failed(&self.name, &error))? {
+                IndexedReadEvent::Message { header, data } => {
+                    let topic = self.channels.get(&header.channel_id).copied();
+                    return Ok(Some(Stored {
+                        topic: topic
+                            .with_context(|| format!("{}: an unknown channel", self.name))?,
+                        time_ns: header.log_time,
+                        cdr: data.to_vec(),
+                    }));
+                }
+                IndexedReadEvent::ReadChunkRequest { offset, length } => {
+                    let mut read = || {
+                        anyhow::ensure!(length <= RECORD_MAX, "a chunk of {length} bytes");
+                        self.chunk.resize(length, 0);
+                        self.file.seek(SeekFrom::Start(offset))?;
+                        self.file.read_exact(&mut self.chunk)?;
+                        Ok(())
+                    };
+                    read().with_context(|| format!("{}: byte {offset}", self.name))?;
+                    let inserted = self.reader.insert_chunk_record_data(offset, &self.chunk);
+                    inserted.map_err(|error| failed(&self.name, &error))?;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! `metadata.yaml` of a bag.
+//!
+//! Version 8, the newest that Humble, Jazzy and Kilted all read. Offers of quality of service there are none, here as
+//! in the files, whose own must be the same: a player takes its default.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, ensure};
+use serde::Deserialize;
+
+use super::{Storage, Topic};
+use crate::message::Type;
+
+/// The file that makes a folder a bag.
+pub const METADATA: &str = "metadata.yaml";
+
+/// Offers of quality of service.
+pub const OFFERS: &str = "[]";
+
+/// What stands for the distribution of ROS.
+pub const WRITTEN_BY: &str = "eecvs";
+
+/// Version of the metadata.
+pub const VERSION: i64 = 8;
+
+/// Longest metadata.
+const BYTES_MAX: u64 = 1 << 24;
+
+/// What is counted of a bag.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Counts {
+    of_topics: Vec<u64>,
+    times_ns: Option<(u64, u64)>,
+}
+
+impl Counts {
+    /// Of so many topics.
+    pub fn new(topics: usize) -> Self {
+        Self {
+            of_topics: vec![0; topics],
+            times_ns: None,
+        }
+    }
+
+    /// Counts a message; its number among those of its topic.
+    pub fn add(&mut self, topic: usize, time_ns: u64) -> u64 {
+        let (first_ns, last_ns) = self.times_ns.unwrap_or((time_ns, time_ns));
+        self.times_ns = Some((first_ns.min(time_ns), last_ns.max(time_ns)));
+        let Some(messages) = self.of_topics.get_mut(topic) else {
+            return 0;
+        };
+        *messages += 1;
+        *messages - 1
+    }
+
+    /// Messages of all topics.
+    pub fn messages(&self) -> u64 {
+        self.of_topics.iter().sum()
+    }
+}
+
+/// What rosbag2's `BagMetadata` of a bag of one file is as text.
+pub fn text(storage: Storage, file: &str, topics: &[(Topic, Type)], counts: &Counts) -> String {
+    let (first_ns, last_ns) = counts.times_ns.unwrap_or_default();
+    let (messages, duration_ns) = (counts.messages(), last_ns - first_ns);
+    let storage = storage.name();
+    // JSON's strings are YAML's.
+    let file = serde_json::Value::from(file);
+    let mut listed = String::new();
+    for ((topic, kind), messages) in topics.iter().zip(&counts.of_topics) {
+        let (name, hash) = (&topic.name, kind.hash);
+        listed += &format!(
+            "  - topic_metadata:
+      name: {name}
+      type: {}
+      serialization_format: cdr
+      offered_qos_profiles: \"{OFFERS}\"
+      type_description_hash: {hash}
+    message_count: {messages}
+",
+            topic.kind
+        );
+    }
+    format!(
+        "version: {VERSION}
+storage_identifier: {storage}
+duration:
+  nanoseconds: {duration_ns}
+starting_time:
+  nanoseconds_since_epoch: {first_ns}
+message_count: {messages}
+topics_with_message_count:
+{listed}compression_format: \"\"
+compression_mode: \"\"
+relative_file_paths:
+  - {file}
+files:
+  - path: {file}
+    starting_time:
+      nanoseconds_since_epoch: {first_ns}
+    duration:
+      nanoseconds: {duration_ns}
+    message_count: {messages}
+custom_data: ~
+ros_distro: {WRITTEN_BY}
+"
+    )
+}
+
+/// The same as a file of its own.
+pub fn document(text: &str) -> String {
+    let lines = text.lines().map(|line| format!("  {line}\n"));
+    format!(
+        "rosbag2_bagfile_information:\n{}",
+        lines.collect::<String>()
+    )
+}
+
+#[derive(Deserialize)]
+struct Document {
+    rosbag2_bagfile_information: Metadata,
+}
+
+/// What a reader asks of metadata.
+#[derive(Debug, Deserialize)]
+pub struct Metadata {
+    /// Files, in their order.
+    pub relative_file_paths: Vec<String>,
+}
+
+impl Metadata {
+    /// Of the bag in a folder.
+    ///
+    /// # Errors
+    /// There are none, or they cannot be read.
+    pub fn read(folder: &Path) -> Result<Self> {
+        let path = folder.join(METADATA);
+        let name = path.display();
+        let length = std::fs::metadata(&path).map(|data| data.len());
+        let length = length.with_context(|| format!("{name}: cannot be read: no bag of ROS 2"))?;
+        ensure!(length <= BYTES_MAX, "{name}: longer than metadata are");
+        let text = std::fs::read_to_string(&path);
+        let text = text.with_context(|| format!("{name}: cannot be read as text"))?;
+        let document: Document = serde_saphyr::from_str(&text)
+            .map_err(|error| anyhow::anyhow!("{name}: no metadata of a bag: {error}"))?;
+        Ok(document.rosbag2_bagfile_information)
+    }
+}

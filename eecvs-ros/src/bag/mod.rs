@@ -1,0 +1,356 @@
+//! Bags of ROS 2: folders with `metadata.yaml` and a file of messages, which `ros2 bag` reads and writes.
+//!
+//! A folder of several files, or a file alone, is read as well.
+
+mod mcap;
+mod metadata;
+mod sqlite;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::ValueEnum;
+
+use crate::message::{TYPES, Type};
+use mcap::{McapReader, McapWriter};
+use metadata::{Counts, METADATA, Metadata};
+use sqlite::{SqliteReader, SqliteWriter};
+
+/// What a bag's messages are stored in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Storage {
+    /// Chunks in LZ4, with an index
+    Mcap,
+    /// A database
+    Sqlite3,
+}
+
+impl Storage {
+    /// As metadata call it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Mcap => "mcap",
+            Self::Sqlite3 => "sqlite3",
+        }
+    }
+
+    const fn ending(self) -> &'static str {
+        match self {
+            Self::Mcap => "mcap",
+            Self::Sqlite3 => "db3",
+        }
+    }
+
+    fn of(path: &Path) -> Option<Self> {
+        let ending = path.extension()?.to_str()?;
+        [Self::Mcap, Self::Sqlite3]
+            .into_iter()
+            .find(|storage| storage.ending() == ending)
+    }
+}
+
+/// A topic of a bag.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Topic {
+    /// Its absolute name.
+    pub name: String,
+    /// Its type's name: `std_msgs/msg/Header`.
+    pub kind: String,
+}
+
+impl Topic {
+    /// Its type, where that is one of ours.
+    #[must_use]
+    pub fn known(&self) -> Option<Type> {
+        TYPES.into_iter().find(|kind| kind.name == self.kind)
+    }
+}
+
+/// A message of a bag.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Stored {
+    /// Number of its topic in [`Reader::topics`].
+    pub topic: usize,
+    /// When it was received, since 1970.
+    pub time_ns: u64,
+    /// Its bytes.
+    pub cdr: Vec<u8>,
+}
+
+/// A file of messages that is written.
+trait WriteFile {
+    /// Takes a message of topic number `topic`.
+    fn message(&mut self, topic: usize, sequence: u64, time_ns: u64, cdr: &[u8]) -> Result<()>;
+
+    /// Writes what ends the file; `metadata` are the bag's.
+    fn finish(self: Box<Self>, metadata: &str) -> Result<()>;
+}
+
+/// A file of messages that is read, in the order of their times.
+trait ReadFile {
+    fn topics(&self) -> &[Topic];
+
+    fn next(&mut self) -> Result<Option<Stored>>;
+}
+
+/// A bag that is being written.
+pub struct Writer {
+    folder: PathBuf,
+    storage: Storage,
+    topics: Vec<(Topic, Type)>,
+    file_name: String,
+    file: Box<dyn WriteFile>,
+    counts: Counts,
+}
+
+impl Writer {
+    /// Creates the folder, which must not be there, and the file in it.
+    ///
+    /// # Errors
+    /// It is there, or cannot be created.
+    pub fn create(folder: &Path, storage: Storage, topics: Vec<(Topic, Type)>) -> Result<Self> {
+        let name = folder.display();
+        std::fs::create_dir(folder)
+            .with_context(|| format!("{name}: the bag's folder cannot be made"))?;
+        let base = folder.file_name().unwrap_or_default().to_string_lossy();
+        let file_name = format!("{base}_0.{}", storage.ending());
+        let path = folder.join(&file_name);
+        let file: Box<dyn WriteFile> = match storage {
+            Storage::Mcap => Box::new(McapWriter::create(&path, &topics)?),
+            Storage::Sqlite3 => Box::new(SqliteWriter::create(&path, &topics)?),
+        };
+        let counts = Counts::new(topics.len());
+        Ok(Self {
+            folder: folder.to_owned(),
+            storage,
+            topics,
+            file_name,
+            file,
+            counts,
+        })
+    }
+
+    /// Takes a message of topic number `topic`, received at `time_ns`.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn message(&mut self, topic: usize, time_ns: u64, cdr: &[u8]) -> Result<()> {
+        let sequence = self.counts.add(topic, time_ns);
+        self.file.message(topic, sequence, time_ns, cdr)
+    }
+
+    /// Messages so far.
+    #[must_use]
+    pub fn messages(&self) -> u64 {
+        self.counts.messages()
+    }
+
+    /// Writes what ends the file, and the metadata.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn finish(self) -> Result<()> {
+        let Self {
+            folder,
+            storage,
+            topics,
+            file_name,
+            file,
+            counts,
+        } = self;
+        let text = metadata::text(storage, &file_name, &topics, &counts);
+        file.finish(&text)?;
+        let path = folder.join(METADATA);
+        std::fs::write(&path, metadata::document(&text))
+            .with_context(|| format!("{}: cannot be written", path.display()))
+    }
+}
+
+/// A bag that is being read, in the order of its files and, within each, of times.
+pub struct Reader {
+    files: Vec<PathBuf>,
+    next: usize,
+    from_ns: u64,
+    file: Box<dyn ReadFile>,
+    topics: Vec<Topic>,
+    /// Numbers of the present file's topics among all.
+    numbers: Vec<usize>,
+}
+
+impl Reader {
+    /// Opens a folder or a file, and leaves out messages before `from_ns`.
+    ///
+    /// # Errors
+    /// No bag, or a damaged one.
+    pub fn open(path: &Path, from_ns: u64) -> Result<Self> {
+        let files = if path.is_dir() {
+            let files = Metadata::read(path)?.relative_file_paths;
+            ensure!(
+                !files.is_empty(),
+                "{}: {METADATA} names no file: write it anew with `ros2 bag reindex`",
+                path.display()
+            );
+            files.iter().map(|file| path.join(file)).collect()
+        } else {
+            vec![path.to_owned()]
+        };
+        let first = files.first().cloned().unwrap_or_default();
+        let file = open_file(&first, from_ns)?;
+        let mut reader = Self {
+            files,
+            next: 1,
+            from_ns,
+            file,
+            topics: Vec::new(),
+            numbers: Vec::new(),
+        };
+        reader.number();
+        Ok(reader)
+    }
+
+    /// The topics so far: those of the files that were opened.
+    #[must_use]
+    pub fn topics(&self) -> &[Topic] {
+        &self.topics
+    }
+
+    /// Finds the present file's topics among all.
+    fn number(&mut self) {
+        let all = &mut self.topics;
+        self.numbers.clear();
+        for topic in self.file.topics() {
+            let number = all.iter().position(|known| known == topic);
+            self.numbers.push(number.unwrap_or_else(|| {
+                all.push(topic.clone());
+                all.len() - 1
+            }));
+        }
+    }
+
+    /// The next message; `None` at the end.
+    ///
+    /// # Errors
+    /// A damaged file.
+    pub fn next_message(&mut self) -> Result<Option<Stored>> {
+        loop {
+            if let Some(mut stored) = self.file.next()? {
+                stored.topic = self.numbers.get(stored.topic).copied().context("a topic")?;
+                return Ok(Some(stored));
+            }
+            let Some(path) = self.files.get(self.next) else {
+                return Ok(None);
+            };
+            self.next += 1;
+            self.file = open_file(path, self.from_ns)?;
+            self.number();
+        }
+    }
+}
+
+fn open_file(path: &Path, from_ns: u64) -> Result<Box<dyn ReadFile>> {
+    match Storage::of(path) {
+        Some(Storage::Mcap) => Ok(Box::new(McapReader::open(path, from_ns)?)),
+        Some(Storage::Sqlite3) => Ok(Box::new(SqliteReader::open(path, from_ns)?)),
+        None => bail!(
+            "{}: not a bag of ROS 2: a folder with {METADATA}, .mcap or .db3",
+            path.display()
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::{EventPacket, Frame, Message};
+
+    fn topics() -> Vec<(Topic, Type)> {
+        [("/a/events", EventPacket::TYPE), ("/a/frames", Frame::TYPE)]
+            .map(|(name, kind)| {
+                let topic = Topic {
+                    name: name.to_owned(),
+                    kind: kind.name.to_owned(),
+                };
+                (topic, kind)
+            })
+            .into()
+    }
+
+    fn messages() -> Vec<Stored> {
+        (0..2000)
+            .map(|i| Stored {
+                topic: i % 3 % 2,
+                time_ns: 1_700_000_000_000_000_000 + i as u64 * 1_000_000,
+                cdr: vec![i as u8; 1 + i % 900],
+            })
+            .collect()
+    }
+
+    fn rest(path: &Path, from_ns: u64) -> Vec<Stored> {
+        let mut reader = Reader::open(path, from_ns).unwrap();
+        assert_eq!(reader.topics().len(), 2);
+        let mut all = Vec::new();
+        while let Some(stored) = reader.next_message().unwrap() {
+            all.push(stored);
+        }
+        all
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let want = messages();
+        for storage in [Storage::Mcap, Storage::Sqlite3] {
+            let bag = folder.path().join(storage.name());
+            let mut writer = Writer::create(&bag, storage, topics()).unwrap();
+            for stored in &want {
+                writer
+                    .message(stored.topic, stored.time_ns, &stored.cdr)
+                    .unwrap();
+            }
+            writer.finish().unwrap();
+            assert_eq!(rest(&bag, 0), want);
+            let from_ns = want[700].time_ns;
+            assert_eq!(rest(&bag, from_ns), want[700..]);
+            assert_eq!(rest(&bag, from_ns + 1), want[701..]);
+            assert_eq!(rest(&bag, u64::MAX), []);
+            // The file alone is one too.
+            let file = bag.join(format!("{}_0.{}", storage.name(), storage.ending()));
+            assert_eq!(rest(&file, 0), want);
+            assert!(Writer::create(&bag, storage, topics()).is_err());
+        }
+    }
+
+    #[test]
+    fn damaged_bags_are_errors() {
+        let folder = tempfile::tempdir().unwrap();
+        for storage in [Storage::Mcap, Storage::Sqlite3] {
+            let bag = folder.path().join(storage.name());
+            let mut writer = Writer::create(&bag, storage, topics()).unwrap();
+            for stored in messages() {
+                writer
+                    .message(stored.topic, stored.time_ns, &stored.cdr)
+                    .unwrap();
+            }
+            writer.finish().unwrap();
+            let file = bag.join(format!("{}_0.{}", storage.name(), storage.ending()));
+            let bytes = std::fs::read(&file).unwrap();
+            for part in 0..8 {
+                std::fs::write(&file, &bytes[..bytes.len() * part / 8]).unwrap();
+                let read = Reader::open(&bag, 0).and_then(|mut reader| {
+                    while reader.next_message()?.is_some() {}
+                    Ok(())
+                });
+                let error = read.unwrap_err().to_string();
+                assert!(error.contains(storage.name()), "{error}");
+            }
+        }
+        std::fs::write(folder.path().join("a.txt"), "").unwrap();
+        for none in ["a.txt", "nowhere.mcap", "nowhere.db3", "."] {
+            assert!(
+                Reader::open(&folder.path().join(none), 0).is_err(),
+                "{none}"
+            );
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! `bridge`: a camera on USB, or an encoder on USB or at a serial port, to topics.
+
+use anyhow::Result;
+use clap::Args;
+use host_harness::cmd::encode::CodecOptions;
+use host_harness::formats::{EventReader, Pause};
+use usb_bridge::cmd::options::{DeviceOptions, StreamOptions, warn_of_losses};
+use usb_bridge::device::mcu;
+use usb_bridge::record::encoders_frames;
+use usb_bridge::session::Session;
+
+use super::emulate::PacketOptions;
+use super::frames::FrameSender;
+use super::{Context, QosOptions};
+use crate::message::{EventPacket, Time};
+use crate::operator::{Eecvs, Encoded, Operator, frames};
+
+/// Topics that it publishes.
+pub const PUBLISHES: &[&str] = &["events", "frames"];
+
+/// Publish what a device sends: a camera's events on `events`, an encoder's frames on `frames`
+#[derive(Debug, Clone, Args)]
+pub struct Bridge {
+    #[command(flatten)]
+    device: DeviceOptions,
+
+    #[command(flatten)]
+    stream: StreamOptions,
+
+    #[command(flatten)]
+    codec: CodecOptions,
+
+    #[command(flatten)]
+    packets: PacketOptions,
+
+    #[command(flatten)]
+    qos: QosOptions,
+}
+
+impl Bridge {
+    /// Publishes until it is to stop, or the device ends.
+    ///
+    /// # Errors
+    /// A device that cannot be reached, a link that fails, the transport.
+    pub fn run(self, mut context: Context) -> Result<()> {
+        let source = self.device.open(&self.codec, &context.stop)?;
+        let sends_frames = source.model.name() == mcu::NAME;
+        let session = Session::start(
+            source,
+            self.stream.queue_bytes(),
+            &context.stop,
+            self.stream.limits(),
+        )?;
+        let published = match sends_frames {
+            true => self.frames(&mut context, &session),
+            false => self.events(&mut context, &session),
+        };
+        let (report, unstopped) = session.finish();
+        warn_of_losses(&report);
+        context.say(&published?);
+        unstopped.map_or(Ok(()), Err)
+    }
+
+    /// The encoder's frames as they are. Their stamp is that of their arrival: when their windows have ended, their
+    /// times do not tell.
+    fn frames(&self, context: &mut Context, session: &Session) -> Result<String> {
+        let name = Eecvs.name();
+        let mut sender = FrameSender::new(context, self.qos.qos(), name, self.packets.frame_id())?;
+        let mut put = |encoded: Encoded<'_>| sender.send(encoded, Time::now());
+        let mut out = frames(&mut put);
+        let ended = encoders_frames(session, &mut out);
+        out.finish(ended)?;
+        Ok(format!("{} frames", sender.sent()))
+    }
+
+    fn events(&self, context: &mut Context, session: &Session) -> Result<String> {
+        let mut sender = context.publisher::<EventPacket>("events", self.qos.qos())?;
+        let mut reader = session.reader();
+        let mut packer = self.packets.packer(reader.sensor());
+        let (mut events, mut published) = (Vec::new(), 0_u64);
+        loop {
+            events.clear();
+            if reader.read(&mut events)? == 0 && reader.pause() == Pause::Ended {
+                break;
+            }
+            packer.push(&events, |packet, _| sender.send(packet))?;
+            // What has come is not kept back.
+            packer.flush(&mut |packet: &EventPacket, _| sender.send(packet))?;
+            published += events.len() as u64;
+        }
+        Ok(format!(
+            "{published} events in {} messages",
+            sender.sent().messages
+        ))
+    }
+}
