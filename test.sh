@@ -255,7 +255,7 @@ ros() {
         [ "$status" = 0 ] || [ "$status" = 77 ] || return 1
     done
     [ -e "$folder/stamp" ] || return 0
-    EECVS_ROS_PEERS=$PWD/$folder cargo test --workspace "${FEATURES[@]}" --test peers -- --nocapture
+    EECVS_ROS_PEERS=$PWD/$folder cargo test --workspace "${FEATURES[@]}" --test peers --test bags -- --nocapture
 }
 
 usb-recordings() {
