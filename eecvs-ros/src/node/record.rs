@@ -12,7 +12,7 @@ use crate::message::{TYPES, Time, Type, sequence_of};
 use crate::sequence::Sequence;
 use crate::transport::Subscription;
 
-/// Record topics into a bag that `ros2 bag` reads
+/// Record topics into a bag of ROS 2
 #[derive(Debug, Clone, Args)]
 pub struct Record {
     /// Folder to make
