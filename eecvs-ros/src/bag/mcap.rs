@@ -113,7 +113,9 @@ impl McapReader {
         })?;
         let mut topics = Vec::new();
         let mut channels = BTreeMap::new();
-        for (id, channel) in &summary.channels {
+        // By their numbers, in which they were made.
+        let sorted: BTreeMap<_, _> = summary.channels.iter().collect();
+        for (id, channel) in sorted {
             let schema = channel.schema.as_ref();
             channels.insert(*id, topics.len());
             topics.push(Topic {

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result, anyhow};
+use anyhow::{Context as _, Result, anyhow, bail};
 use mio::{Events, Interest, Poll, Token};
 use ros2_client::dds::rustdds::{self, DomainParticipantBuilder};
 use ros2_client::qos::{History, Reliability, WhenFull};
@@ -137,6 +137,7 @@ impl Node for DdsNode {
             subscription,
             poll,
             events: Events::with_capacity(4),
+            refused: 0,
         }))
     }
 }
@@ -162,7 +163,13 @@ impl Drop for DdsPublisher {
 
 impl Publisher for DdsPublisher {
     fn publish(&mut self, cdr: &[u8]) -> Result<()> {
-        let fields = cdr.strip_prefix(&ENCAPSULATION).unwrap_or_default();
+        // The other two bytes are options that only others read.
+        let Some(([0, 1, _, _], fields)) = cdr.split_first_chunk() else {
+            bail!(
+                "{}: a message that is not little-endian CDR of version 1",
+                self.topic
+            );
+        };
         self.latest = Some(Instant::now());
         // Fragments are not padded below: Cyclone DDS drops a message whose last one does not end with a word.
         let mut fields = fields.to_vec();
@@ -183,16 +190,30 @@ struct DdsSubscription {
     subscription: ros2_client::Subscription<Raw>,
     poll: Poll,
     events: Events,
+    /// Messages in a row that could not be taken.
+    refused: u32,
 }
+
+/// Messages in a row that are no messages; with more, it is the subscription that has ended.
+const REFUSED_MAX: u32 = 10_000;
 
 impl Subscription for DdsSubscription {
     fn take(&mut self, wait: Duration) -> Result<Option<Vec<u8>>> {
         let until = Instant::now() + wait;
         loop {
-            let taken = self.subscription.take();
-            if let Some((Raw(fields), _)) =
-                taken.map_err(|error| anyhow!("{}: {error:?}", self.topic))?
-            {
+            let taken = match self.subscription.take() {
+                Ok(taken) => taken,
+                Err(error) if self.refused >= REFUSED_MAX => {
+                    bail!("{}: {error:?}", self.topic);
+                }
+                Err(_) => {
+                    // Whoever takes it finds that it is none, and counts it.
+                    self.refused += 1;
+                    return Ok(Some(Vec::new()));
+                }
+            };
+            self.refused = 0;
+            if let Some((Raw(fields), _)) = taken {
                 let mut cdr = ENCAPSULATION.to_vec();
                 cdr.extend_from_slice(&fields);
                 return Ok(Some(cdr));

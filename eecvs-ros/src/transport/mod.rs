@@ -60,7 +60,7 @@ pub trait Publisher: Send {
 
 /// A topic's messages on their way in.
 pub trait Subscription: Send {
-    /// The oldest message that waits, or the first that comes in time.
+    /// The oldest message that waits, or the first that comes in time. What the transport could not read is empty.
     ///
     /// # Errors
     /// The transport has ended.
