@@ -1,8 +1,10 @@
 //! The `eecvs-ros` command: a node in a process, or several.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::thread;
+use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail};
 use clap::builder::ValueParser;
@@ -18,6 +20,7 @@ use crate::operator::{Operator, Operators};
 use crate::transport::Transport;
 use crate::transport::dds::Dds;
 use crate::transport::local::Local;
+use crate::transport::zenoh::{Links, ROUTER, Router, Zenoh};
 
 /// ROS 2 nodes around the encoder; flags may also be given as parameters, behind --ros-args: -p NAME:=VALUE,
 /// -r FROM:=TO, --params-file FILE
@@ -50,12 +53,46 @@ struct NetworkOptions {
     /// Stay on this computer [default: where ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST, or ROS_LOCALHOST_ONLY 1]
     #[arg(long, global = true)]
     loopback: bool,
+
+    #[command(flatten)]
+    links: LinkOptions,
+}
+
+/// What Zenoh connects.
+#[derive(Debug, Clone, Args)]
+struct LinkOptions {
+    /// With Zenoh: an endpoint to connect to, such as tcp/HOST:7447 or tls/HOST:7447 [default: a router on this
+    /// computer]
+    #[arg(long, value_name = "ENDPOINT", global = true)]
+    connect: Vec<String>,
+
+    /// With Zenoh: an endpoint to listen at
+    #[arg(long, value_name = "ENDPOINT", global = true)]
+    listen: Vec<String>,
+
+    /// With Zenoh: its settings, in JSON5 [default: the variable ZENOH_SESSION_CONFIG_URI, of a router
+    /// ZENOH_ROUTER_CONFIG_URI]
+    #[arg(long, value_name = "FILE", global = true)]
+    zenoh_config: Option<PathBuf>,
+}
+
+impl LinkOptions {
+    fn links(&self, variable: &str) -> Links {
+        let config = self.zenoh_config.clone();
+        Links {
+            connect: self.connect.clone(),
+            listen: self.listen.clone(),
+            config: config.or_else(|| std::env::var_os(variable).map(PathBuf::from)),
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Name {
     /// As ROS 2 does without further settings
     Dds,
+    /// As ROS 2 does with RMW_IMPLEMENTATION=rmw_zenoh_cpp; it wants a router: eecvs-ros router, or another
+    Zenoh,
 }
 
 #[derive(Debug, Clone, Subcommand)]
@@ -70,7 +107,12 @@ enum Command {
     Record(record::Record),
     Play(play::Play),
     Compose(Compose),
+    Router(Route),
 }
+
+/// Route the messages of Zenoh's nodes, until it is stopped; routers connect to others
+#[derive(Debug, Clone, Args)]
+struct Route {}
 
 /// Run several nodes in one process, where messages between them pass through memory
 #[derive(Debug, Clone, Args)]
@@ -97,6 +139,9 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
     let stop = Stop::on_signals()?;
     if let Command::Compose(compose) = line.command {
         return composed(&compose, &line.network, &ros, operators, &stop);
+    }
+    if let Command::Router(_) = line.command {
+        return route(&line.network.links, &stop);
     }
     let name = line.command.name();
     let arguments = named(&ros, &[name.to_owned()])?.remove(0);
@@ -180,7 +225,7 @@ fn composed(
     for (name, arguments) in compose.nodes.iter().zip(arguments) {
         let line = vec!["eecvs-ros".to_owned(), name.clone()];
         let (line, parameters) = parse(line, &arguments)?;
-        if matches!(line.command, Command::Compose(_)) {
+        if matches!(line.command, Command::Compose(_) | Command::Router(_)) {
             bail!("compose: {name} is no node");
         }
         for topic in line.command.publishes() {
@@ -213,6 +258,30 @@ fn composed(
     result
 }
 
+fn route(options: &LinkOptions, stop: &Stop) -> Result<()> {
+    let links = options.links("ZENOH_ROUTER_CONFIG_URI");
+    let router = Router::start(&links)?;
+    let listens = if links.listen.is_empty() && links.config.is_none() {
+        ROUTER.to_owned()
+    } else {
+        links.listen.join(", ")
+    };
+    eprintln!("eecvs-ros: a router listens at {listens}");
+    let mut told = (0, 0);
+    while !stop.is_asked() {
+        let (routers, others) = router.connected();
+        if (routers, others) != told {
+            eprintln!("eecvs-ros: connected: {routers} routers, {others} others");
+            told = (routers, others);
+        }
+        thread::sleep(LOOK);
+    }
+    Ok(())
+}
+
+/// How often a router looks at who is connected.
+const LOOK: Duration = Duration::from_millis(200);
+
 impl NetworkOptions {
     fn open(&self) -> Result<Arc<dyn Transport>> {
         let variable = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
@@ -229,6 +298,10 @@ impl NetworkOptions {
             || variable("ROS_LOCALHOST_ONLY").as_deref() == Some("1");
         match self.transport {
             Name::Dds => Ok(Arc::new(Dds::join(domain_id, loopback)?)),
+            Name::Zenoh => {
+                let links = self.links.links("ZENOH_SESSION_CONFIG_URI");
+                Ok(Arc::new(Zenoh::join(domain_id, &links)?))
+            }
         }
     }
 }
@@ -245,6 +318,7 @@ impl Command {
             Self::Record(_) => "record",
             Self::Play(_) => "play",
             Self::Compose(_) => "compose",
+            Self::Router(_) => "router",
         }
     }
 
@@ -256,7 +330,11 @@ impl Command {
             Self::Encode(_) => encode::PUBLISHES,
             Self::Decode(_) => decode::PUBLISHES,
             Self::Density(_) => density::PUBLISHES,
-            Self::Delay(_) | Self::Record(_) | Self::Play(_) | Self::Compose(_) => &[],
+            Self::Delay(_)
+            | Self::Record(_)
+            | Self::Play(_)
+            | Self::Compose(_)
+            | Self::Router(_) => &[],
         }
     }
 
@@ -270,7 +348,7 @@ impl Command {
             Self::Delay(node) => node.run(context),
             Self::Record(node) => node.run(context),
             Self::Play(node) => node.run(context),
-            Self::Compose(_) => bail!("compose is no node"),
+            Self::Compose(_) | Self::Router(_) => bail!("this is no node"),
         }
     }
 }

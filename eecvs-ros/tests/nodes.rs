@@ -1,106 +1,24 @@
 //! The nodes as programs of their own, over DDS: every event comes out as it went in.
 
+mod pipeline;
 mod program;
 
-use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 
-use eecvs_nostd::{Event, Sensor};
+use eecvs_nostd::Sensor;
 use eecvs_ros::message::{Density, EventPacket, Image, Message, Volume, from_cdr};
 use eecvs_ros::names::NodeName;
-use eecvs_ros::packet_reader::{PacketReader, look};
+use eecvs_ros::packet_reader::PacketReader;
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
 use host_harness::formats::{EventReader, create};
-use host_harness::scene::{Preset, SceneConfig, emulate};
-use program::{Program, QOS};
+use pipeline::{Network, counted, events, scene, through_programs};
+use program::{PATIENCE, Program, QOS};
 use usb_bridge::stop::Stop;
-
-/// How long programs may take to find each other and to end.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The program.
 const EECVS_ROS: &str = env!("CARGO_BIN_EXE_eecvs-ros");
-
-/// The events of a scene as `emulate` publishes it.
-fn scene(duration_us: u64) -> Vec<Event> {
-    let mut config = SceneConfig::new(Preset::IndoorFlying, 1);
-    config.duration_us = duration_us;
-    config.sensor = Sensor::new(120, 90).unwrap();
-    let mut reader = emulate(config).unwrap();
-    let mut events = Vec::new();
-    while reader.read(&mut events).unwrap() > 0 {}
-    events
-}
-
-/// How often each event occurs: windows order those of equal time anew.
-fn counted(events: &[Event]) -> BTreeMap<(u64, u16, u16, bool), usize> {
-    let mut counts = BTreeMap::new();
-    for event in events {
-        let polarity = event.polarity == eecvs_nostd::Polarity::On;
-        *counts
-            .entry((event.t_us, event.y, event.x, polarity))
-            .or_default() += 1;
-    }
-    counts
-}
-
-fn events(mut reader: PacketReader) -> Vec<Event> {
-    let watch = reader.watch();
-    let mut events = Vec::new();
-    loop {
-        let read = reader.read(&mut events).unwrap();
-        if read == 0 && reader.pause() == host_harness::formats::Pause::Ended {
-            break;
-        }
-    }
-    let received = look(&watch);
-    assert_eq!((received.sequence.lost, received.refused), (0, 0));
-    events
-}
-
-/// Publishes the scene at half its speed, once somebody has subscribed.
-fn emulated(domain: u16, duration_us: u64) -> Program {
-    let duration_us = duration_us.to_string();
-    let mut arguments = vec!["emulate", "--duration-us", &duration_us];
-    arguments.extend("--width 120 --height 90 --wait-s 20 --rate 0.5x".split(' '));
-    Program::eecvs_ros(domain, &arguments)
-}
-
-/// Runs emulate, and encode and decode by `program`, and returns what comes out.
-fn through_programs(program: &Path, domain: u16, encode: &[&str], duration_us: u64) -> Vec<Event> {
-    let transport = Dds::join(domain, true).unwrap();
-    let name = NodeName::new("/", "test").unwrap();
-    let mut node = transport.node(&name, &[]).unwrap();
-    let kind = EventPacket::TYPE;
-    let subscription = node.subscription("/event_camera/decoded/events", kind, QOS);
-    let start = |arguments: &[&str]| {
-        let mut command = Command::new(program);
-        command.args(arguments);
-        Program::start(arguments[0], domain, command)
-    };
-    let decode = start(&["decode", "--idle-s", "3"]);
-    let mut arguments = vec!["encode", "--idle-s", "2"];
-    arguments.extend(encode);
-    let encode = start(&arguments);
-    // Until encode and decode have found each other, and the test; then encode is who waits for events.
-    std::thread::sleep(Duration::from_secs(2));
-    let emulate = emulated(domain, duration_us);
-    let stop = Stop::default();
-    let idle = Some(Duration::from_secs(4));
-    let reader = PacketReader::begin(subscription.unwrap(), &stop, idle)
-        .unwrap()
-        .unwrap();
-    let decoded = events(reader);
-    for program in [emulate, encode, decode] {
-        let (_, errors) = program.finish(PATIENCE);
-        eprint!("{errors}");
-        assert!(!errors.contains("have not come"), "{errors}");
-    }
-    decoded
-}
 
 #[test]
 fn every_event_comes_through_three_programs() {
@@ -112,7 +30,12 @@ fn every_event_comes_through_three_programs() {
             vec!["--coder", "dense", "--ros-args", "-p", "window_us:=20000"],
         ),
     ] {
-        let got = through_programs(Path::new(EECVS_ROS), domain, &encode, 400_000);
+        let got = through_programs(
+            Path::new(EECVS_ROS),
+            &Network::dds(domain),
+            &encode,
+            400_000,
+        );
         let total: usize = want.values().sum();
         assert_eq!(got.len(), total);
         assert!(counted(&got) == want, "other events");
@@ -130,7 +53,7 @@ fn an_operator_of_another_crate_is_found_by_its_name() {
         "of one test alone, first: cargo build -p eecvs-ros --example operator"
     );
     let encode = ["--operator", "steps", "--window-us", "5000"];
-    let got = through_programs(&program, 63, &encode, 200_000);
+    let got = through_programs(&program, &Network::dds(63), &encode, 200_000);
     assert!(counted(&got) == counted(&scene(200_000)));
 }
 
@@ -210,7 +133,7 @@ fn volumes_pictures_and_densities_are_made_for_those_who_ask() {
     );
     // Until they have found the test.
     std::thread::sleep(Duration::from_secs(2));
-    for program in [emulated(domain, 400_000), run] {
+    for program in [pipeline::emulated(&Network::dds(domain), 400_000), run] {
         eprint!("{}", program.finish(PATIENCE).1);
     }
     let taken = |subscription: &mut dyn eecvs_ros::transport::Subscription| {

@@ -4,12 +4,13 @@
 //! elsewhere. What a node of this process publishes its subscriptions get from here alone, so that nodes are
 //! announced before any of them subscribes: [`Local::expect`] names the topics.
 
-use std::collections::{HashMap, HashSet, VecDeque};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::collections::{HashMap, HashSet};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use anyhow::Result;
 
+use super::queue::{Queue, lock};
 use super::{Node, Publisher, Qos, Subscription, Transport};
 use crate::message::Type;
 use crate::names::NodeName;
@@ -24,22 +25,7 @@ pub struct Local {
 #[derive(Default)]
 struct Topics {
     published: HashSet<String>,
-    queues: HashMap<String, Vec<Queue>>,
-}
-
-/// What waits for one subscription.
-type Queue = Arc<(Mutex<Waiting>, Condvar)>;
-
-#[derive(Default)]
-struct Waiting {
-    messages: VecDeque<Arc<[u8]>>,
-    depth: usize,
-    closed: bool,
-}
-
-/// Whoever panicked while something was locked has left it whole.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+    queues: HashMap<String, Vec<Arc<Queue>>>,
 }
 
 impl Local {
@@ -103,8 +89,7 @@ impl Node for LocalNode {
             drop(topics);
             return outside.subscription(topic, kind, qos);
         }
-        let queue = Queue::default();
-        lock(&queue.0).depth = qos.depth.max(1);
+        let queue = Arc::new(Queue::new(qos.depth));
         let queues = topics.queues.entry(topic.to_owned()).or_default();
         queues.push(Arc::clone(&queue));
         Ok(Box::new(LocalSubscription { queue }))
@@ -122,15 +107,7 @@ impl Publisher for LocalPublisher {
         let mut topics = lock(&self.shared);
         if let Some(queues) = topics.queues.get_mut(&self.topic) {
             let message: Arc<[u8]> = cdr.into();
-            queues.retain(|queue| {
-                let mut waiting = lock(&queue.0);
-                while waiting.messages.len() >= waiting.depth {
-                    waiting.messages.pop_front();
-                }
-                waiting.messages.push_back(Arc::clone(&message));
-                queue.1.notify_one();
-                !waiting.closed
-            });
+            queues.retain(|queue| queue.push(Arc::clone(&message)));
         }
         drop(topics);
         match &mut self.outside {
@@ -152,26 +129,12 @@ impl Publisher for LocalPublisher {
 }
 
 struct LocalSubscription {
-    queue: Queue,
+    queue: Arc<Queue>,
 }
 
 impl Subscription for LocalSubscription {
     fn take(&mut self, wait: Duration) -> Result<Option<Vec<u8>>> {
-        let until = Instant::now() + wait;
-        let (mutex, changed) = &*self.queue;
-        let mut waiting = lock(mutex);
-        loop {
-            if let Some(message) = waiting.messages.pop_front() {
-                return Ok(Some(message.to_vec()));
-            }
-            let left = until.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return Ok(None);
-            }
-            (waiting, _) = changed
-                .wait_timeout(waiting, left)
-                .unwrap_or_else(PoisonError::into_inner);
-        }
+        Ok(self.queue.take(wait))
     }
 
     fn publishers(&self) -> usize {
@@ -181,7 +144,7 @@ impl Subscription for LocalSubscription {
 
 impl Drop for LocalSubscription {
     fn drop(&mut self) {
-        lock(&self.queue.0).closed = true;
+        self.queue.close();
     }
 }
 

@@ -3,8 +3,11 @@
 //! Each of them takes and gives messages as CDR bytes ([`crate::message`]), so that nodes know nothing of them.
 
 pub mod dds;
+pub mod graph;
 pub mod local;
+mod queue;
 mod raw;
+pub mod zenoh;
 
 use std::time::Duration;
 

@@ -11,6 +11,9 @@ pub const QOS: Qos = Qos {
     reliable: false,
 };
 
+/// How long programs may take to find each other and to end.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
 /// A program that ends with the test.
 pub struct Program {
     name: String,
@@ -19,6 +22,7 @@ pub struct Program {
 
 impl Program {
     /// `eecvs-ros` with arguments, in a domain, on this computer alone.
+    #[allow(dead_code)]
     pub fn eecvs_ros(domain: u16, arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_eecvs-ros"));
         command.args(arguments);

@@ -1,0 +1,213 @@
+//! Who publishes and subscribes what over Zenoh: the tokens by which `rmw_zenoh` announces it.
+//!
+//! ```text
+//! @ros2_lv/DOMAIN/SESSION/NODE/ENTITY/KIND/ENCLAVE/NAMESPACE/NAME[/TOPIC/TYPE/HASH/QOS]
+//! ```
+//!
+//! A `/` within a part is written `%`, and an empty part `%` alone.
+
+use std::collections::{HashMap, HashSet};
+
+use super::Qos;
+use crate::message::Type;
+use crate::names::NodeName;
+
+/// What a token announces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Kind {
+    /// A node.
+    Node,
+    /// Somebody who publishes a topic.
+    Publisher,
+    /// Somebody who receives it.
+    Subscription,
+}
+
+impl Kind {
+    const fn code(self) -> &'static str {
+        match self {
+            Self::Node => "NN",
+            Self::Publisher => "MP",
+            Self::Subscription => "MS",
+        }
+    }
+}
+
+/// All tokens of a domain.
+#[must_use]
+pub fn tokens_of(domain: u16) -> String {
+    format!("@ros2_lv/{domain}/**")
+}
+
+/// The key of a topic's messages: domain, topic, type and its hash.
+#[must_use]
+pub fn key_of(domain: u16, topic: &str, kind: Type) -> String {
+    let topic = topic.trim_matches('/');
+    format!("{domain}/{topic}/{}/{}", kind.dds(), kind.hash)
+}
+
+/// A node, as its tokens name it.
+#[derive(Debug, Clone)]
+pub struct NodeToken {
+    start: String,
+    node: u64,
+    end: String,
+}
+
+impl NodeToken {
+    /// The `node`th of a session.
+    #[must_use]
+    pub fn new(domain: u16, session: &str, node: u64, name: &NodeName) -> Self {
+        let namespace = mangled(&name.namespace);
+        Self {
+            start: format!("@ros2_lv/{domain}/{session}/{node}"),
+            node,
+            end: format!("%/{namespace}/{}", name.base),
+        }
+    }
+
+    /// The node's own token.
+    #[must_use]
+    pub fn node(&self) -> String {
+        // A node is the entity of its own number.
+        let Self { start, node, end } = self;
+        format!("{start}/{node}/{}/{end}", Kind::Node.code())
+    }
+
+    /// The token of somebody in it, of a number that nobody else has in the session.
+    #[must_use]
+    pub fn end_of(&self, entity: u64, kind: Kind, topic: &str, message: Type, qos: Qos) -> String {
+        let Self { start, end, .. } = self;
+        let topic = mangled(topic);
+        // What is as in the default profile is left out: reliable, volatile, the last ones kept, no deadlines.
+        let reliability = if qos.reliable { "" } else { "2" };
+        format!(
+            "{start}/{entity}/{}/{end}/{topic}/{}/{}/{reliability}::,{}:,:,:,,",
+            kind.code(),
+            message.dds(),
+            message.hash,
+            qos.depth
+        )
+    }
+}
+
+fn mangled(name: &str) -> String {
+    match name.trim_end_matches('/') {
+        "" => "%".to_owned(),
+        name => name.replace('/', "%"),
+    }
+}
+
+/// Who publishes and receives what at present.
+#[derive(Debug, Default)]
+pub struct Graph {
+    ends: HashMap<(Kind, String), HashSet<String>>,
+}
+
+impl Graph {
+    /// Takes a token that has come, or gone; what is no end of a topic is left out.
+    pub fn take(&mut self, token: &str, is_there: bool) {
+        let Some(end) = end(token) else { return };
+        if is_there {
+            self.ends.entry(end).or_default().insert(token.to_owned());
+        } else if let Some(tokens) = self.ends.get_mut(&end) {
+            tokens.remove(token);
+            if tokens.is_empty() {
+                self.ends.remove(&end);
+            }
+        }
+    }
+
+    /// How many ends of a kind a topic has.
+    #[must_use]
+    pub fn count(&self, kind: Kind, topic: &str) -> usize {
+        let end = (kind, mangled(topic));
+        self.ends.get(&end).map_or(0, HashSet::len)
+    }
+}
+
+fn end(token: &str) -> Option<(Kind, String)> {
+    let parts: Vec<&str> = token.split('/').collect();
+    let [_, _, _, _, _, kind, _, _, _, topic, ..] = parts.as_slice() else {
+        return None;
+    };
+    let kind = [Kind::Publisher, Kind::Subscription]
+        .into_iter()
+        .find(|known| known.code() == *kind)?;
+    Some((kind, (*topic).to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::{EventPacket, Message};
+
+    /// As in the design document of rmw_zenoh, which has other topics.
+    #[test]
+    fn tokens_are_written_as_ros_writes_them() {
+        let name = NodeName::new("/", "listener").unwrap();
+        let session = "aac3178e146ba6f1fc6e6a4085e77f21";
+        let node = NodeToken::new(2, session, 0, &name);
+        assert_eq!(
+            node.node(),
+            "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener"
+        );
+        let qos = Qos {
+            depth: 7,
+            reliable: true,
+        };
+        let name = NodeName::new("/robot/left", "encode").unwrap();
+        let node = NodeToken::new(0, session, 3, &name);
+        let topic = "/robot/left/events";
+        let token = node.end_of(10, Kind::Publisher, topic, EventPacket::TYPE, qos);
+        let want = "@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/3/10/MP/%/%robot%left/encode/\
+            %robot%left%events/event_camera_msgs::msg::dds_::EventPacket_/\
+            RIHS01_d6fa176260b1f37e5a40845305315e150a0f18191241eb64f407442aa29844aa/::,7:,:,:,,";
+        assert_eq!(token, want);
+        let qos = Qos {
+            reliable: false,
+            ..qos
+        };
+        let token = node.end_of(11, Kind::Subscription, topic, EventPacket::TYPE, qos);
+        assert!(token.contains("/3/11/MS/") && token.ends_with("/2::,7:,:,:,,"));
+        assert_eq!(
+            key_of(5, topic, EventPacket::TYPE),
+            "5/robot/left/events/event_camera_msgs::msg::dds_::EventPacket_/\
+             RIHS01_d6fa176260b1f37e5a40845305315e150a0f18191241eb64f407442aa29844aa"
+        );
+    }
+
+    #[test]
+    fn ends_come_and_go() {
+        let name = NodeName::new("/", "a").unwrap();
+        let node = NodeToken::new(0, "1", 0, &name);
+        let qos = Qos {
+            depth: 1,
+            reliable: false,
+        };
+        let token = |entity| node.end_of(entity, Kind::Publisher, "/a/b", EventPacket::TYPE, qos);
+        let mut graph = Graph::default();
+        for (entity, is_there, want) in [
+            (1, true, 1),
+            (1, true, 1),
+            (2, true, 2),
+            (3, false, 2),
+            (1, false, 1),
+            (2, false, 0),
+        ] {
+            graph.take(&token(entity), is_there);
+            assert_eq!(graph.count(Kind::Publisher, "/a/b"), want);
+            assert_eq!(graph.count(Kind::Subscription, "/a/b"), 0);
+        }
+        for odd in [
+            "",
+            "@ros2_lv",
+            &node.node(),
+            "a/b/c/d/e/f/g/h/i/j/k",
+            "//////////",
+        ] {
+            graph.take(odd, true);
+        }
+        assert!(graph.ends.is_empty());
+    }
+}
