@@ -156,11 +156,14 @@ pub trait EventWriter {
     fn finish(self: Box<Self>) -> anyhow::Result<()>;
 }
 
+/// Bytes that a file being written holds back.
+const BUFFER_BYTES: usize = 1 << 16;
+
 /// Opens `path` for writing; also returns its name for messages.
 fn create_file(path: &Path) -> anyhow::Result<(BufWriter<File>, String)> {
     let name = path.display().to_string();
     let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
-    Ok((BufWriter::with_capacity(1 << 16, file), name))
+    Ok((BufWriter::with_capacity(BUFFER_BYTES, file), name))
 }
 
 /// Four unnamed temporary files in the folder of `path`, which messages call `name`: columns that wait there

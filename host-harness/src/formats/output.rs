@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use super::create_file;
+use super::{BUFFER_BYTES, create_file};
 
 /// A file being written.
 pub struct Output {
@@ -22,11 +22,20 @@ impl Output {
     /// I/O.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         let (file, name) = create_file(path)?;
-        Ok(Self {
+        Ok(Self::of(file, name))
+    }
+
+    /// Goes on with an empty file, which messages call `name`.
+    pub fn new(file: File, name: String) -> Self {
+        Self::of(BufWriter::with_capacity(BUFFER_BYTES, file), name)
+    }
+
+    const fn of(file: BufWriter<File>, name: String) -> Self {
+        Self {
             file,
             name,
             position: 0,
-        })
+        }
     }
 
     /// What messages call the file.

@@ -18,6 +18,7 @@
 //! before the one sought.
 
 mod metadata;
+pub mod table;
 mod thrift;
 mod values;
 mod writer;

@@ -18,7 +18,7 @@ pub const PLAIN: i64 = 0;
 const PLAIN_DICTIONARY: i64 = 2;
 pub const RLE: i64 = 3;
 pub const DELTA: i64 = 5;
-const DICTIONARY: i64 = 8;
+pub const DICTIONARY: i64 = 8;
 const SPLIT: i64 = 9;
 
 /// `width` bits at bit `at`, the lowest first.
@@ -308,6 +308,28 @@ pub fn deltas(values: &[i64]) -> Vec<u8> {
     out
 }
 
+/// Values as runs of equal ones, of `width` bits.
+pub fn runs(values: impl IntoIterator<Item = u32>, width: u8) -> Vec<u8> {
+    let bytes = usize::from(width.div_ceil(8));
+    let mut out = Vec::new();
+    let mut put = |(value, count): (u32, u64)| {
+        put_varint(&mut out, count << 1);
+        out.extend(value.to_le_bytes().iter().take(bytes));
+    };
+    let mut run: Option<(u32, u64)> = None;
+    for value in values {
+        match &mut run {
+            Some((of, count)) if *of == value => *count += 1,
+            other => {
+                other.take().into_iter().for_each(&mut put);
+                *other = Some((value, 1));
+            }
+        }
+    }
+    run.into_iter().for_each(put);
+    out
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -320,6 +342,16 @@ mod tests {
             let mut deltas = Deltas::new(deltas(values)).unwrap();
             let got: Vec<i64> = std::iter::from_fn(|| deltas.next()).collect();
             assert_eq!(got, values);
+        }
+    }
+
+    #[test]
+    fn runs_go_back() {
+        for (values, width) in [(&[1, 1, 0, 1][..], 1), (&[300, 7, 7], 9), (&[0; 1000], 1)] {
+            let mut read = Runs::new(runs(values.iter().copied(), width), width).unwrap();
+            let got: Vec<u64> = std::iter::from_fn(|| read.next()).collect();
+            let want: Vec<u64> = values.iter().map(|value| u64::from(*value)).collect();
+            assert_eq!(got, want);
         }
     }
 
