@@ -74,6 +74,11 @@ pub trait Decoder: Send {
     /// Why the frame is left out.
     fn take(&mut self, frame: &crate::message::Frame, ready: Ready<'_>) -> Result<()>;
 
+    /// No further frame comes: `ready` gets the window whose end has not come.
+    fn end(&mut self, ready: Ready<'_>) {
+        let _ = ready;
+    }
+
     /// What frames say of events that are not in them.
     fn counts(&self) -> FrameCounts;
 }
@@ -227,6 +232,14 @@ impl Decoder for EecvsDecoder {
             .0
             .take(&parsed, |window| ready(Decoded::Window(window)));
         taken.map_err(|refused| anyhow::anyhow!("{refused:?}"))
+    }
+
+    fn end(&mut self, ready: Ready<'_>) {
+        self.0
+            .end()
+            .map(Decoded::Window)
+            .into_iter()
+            .for_each(ready);
     }
 
     fn counts(&self) -> FrameCounts {

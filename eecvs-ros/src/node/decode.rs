@@ -11,10 +11,10 @@ use host_harness::reconstruct::events::Finder;
 use host_harness::reconstruct::{DecodedWindow, volume};
 
 use super::emulate::PacketOptions;
-use super::{Context, Now, QosOptions, Sender, receive};
-use crate::message::{EventPacket, Frame, Header, Image, Time, Volume};
-use crate::operator::{Decoded, Decoder, Operators};
-use crate::sequence::Sequence;
+use super::frame_reader::{Account, FrameReader};
+use super::{Context, QosOptions, Sender};
+use crate::message::{EventPacket, Header, Image, Time, Volume};
+use crate::operator::{Decoded, Operators};
 
 /// Topics that it publishes.
 pub const PUBLISHES: &[&str] = &["decoded/events", "volume", "image"];
@@ -63,16 +63,9 @@ enum Look {
     Rgb8,
 }
 
-/// Longest wait between two looks at whether to stop.
-const WAIT: Duration = Duration::from_millis(20);
-
-/// What came of the frames.
+/// Windows that came out of frames.
 #[derive(Debug, Default)]
-struct Account {
-    frames: u64,
-    sequence: Sequence,
-    refused: u64,
-    why_refused: Option<String>,
+struct Totals {
     windows: u64,
     events: u64,
 }
@@ -91,109 +84,36 @@ impl Decode {
     /// The transport.
     pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
         let qos = self.qos.qos();
-        let mut subscription = context.subscription::<Frame>("frames", qos)?;
+        let mut frames = FrameReader::new(&mut context, operators, qos, self.idle_s)?;
         let mut outputs = Outputs {
             events: context.publisher("decoded/events", qos)?,
             volume: context.publisher("volume", qos)?,
             image: context.publisher("image", qos)?,
         };
         let mut making = Making::new(&self);
-        let mut decoder: Option<(String, Box<dyn Decoder>)> = None;
-        let mut account = Account::default();
-        let mut tell = Now::every(Duration::from_secs(5));
-        let mut told = (0, 0);
-        let mut latest = Instant::now();
-        let idle = self.idle_s.map(|s| Duration::from_secs(s.into()));
+        let mut totals = Totals::default();
         let mut ready: Vec<Decoded> = Vec::new();
-        while !context.stop.is_asked() {
-            let is_idle = account.frames > 0 && idle.is_some_and(|idle| latest.elapsed() >= idle);
-            if is_idle {
-                break;
-            }
-            let Some(frame) = receive::<Frame>(subscription.as_mut(), WAIT)? else {
-                continue;
-            };
-            latest = Instant::now();
-            account.frames += 1;
-            match frame {
-                Err(malformed) => account.refuse(malformed.to_string()),
-                Ok(frame) => {
-                    account.sequence.follow(frame.seq);
-                    match Self::decode(&frame, operators, &mut decoder, &mut ready) {
-                        Err(error) => account.refuse(format!("{error:#}")),
-                        Ok(()) => {
-                            for decoded in ready.drain(..) {
-                                account.windows += 1;
-                                account.events +=
-                                    making.window(decoded, &frame.header, &mut outputs)?;
-                            }
-                        }
-                    }
-                }
-            }
-            if tell.is_due() {
-                account.tell(&context, &mut told);
+        while let Some(frame) = frames.next_frame(&context, &mut ready)? {
+            for decoded in ready.drain(..) {
+                totals.windows += 1;
+                totals.events += making.window(decoded, &frame.header, &mut outputs)?;
             }
         }
-        account.tell(&context, &mut told);
-        let counts = decoder.map_or_else(FrameCounts::default, |(_, decoder)| decoder.counts());
-        context.say(&account.line(&counts, &outputs));
+        context.say(&totals.line(frames.account(), &frames.counts(), &outputs));
         Ok(())
-    }
-
-    /// Decodes a frame by the operator that it names.
-    fn decode(
-        frame: &Frame,
-        operators: &Operators,
-        decoder: &mut Option<(String, Box<dyn Decoder>)>,
-        ready: &mut Vec<Decoded>,
-    ) -> Result<()> {
-        let is_other = decoder
-            .as_ref()
-            .is_none_or(|(name, _)| *name != frame.operator_name);
-        if is_other {
-            let Some(operator) = operators.find(&frame.operator_name) else {
-                anyhow::bail!(
-                    "operator {:?} is not known: {}",
-                    frame.operator_name,
-                    operators.names()
-                );
-            };
-            *decoder = Some((frame.operator_name.clone(), operator.decoder()));
-        }
-        match decoder {
-            Some((_, decoder)) => decoder.take(frame, &mut |window| ready.push(window)),
-            None => Ok(()),
-        }
     }
 }
 
-impl Account {
-    fn refuse(&mut self, why: String) {
-        self.refused += 1;
-        self.why_refused = Some(why);
-    }
-
-    fn tell(&self, context: &Context, told: &mut (u64, u64)) {
-        if self.sequence.lost > told.0 {
-            context.say(&format!("{} frames have not come", self.sequence.lost));
-        }
-        if self.refused > told.1 {
-            let why = self.why_refused.as_deref().unwrap_or_default();
-            context.say(&format!("{} frames were left out: {why}", self.refused));
-        }
-        *told = (self.sequence.lost, self.refused);
-    }
-
-    fn line(&self, counts: &FrameCounts, outputs: &Outputs) -> String {
+impl Totals {
+    fn line(&self, account: &Account, counts: &FrameCounts, outputs: &Outputs) -> String {
         format!(
             "{} events in {} windows of {} frames ({} lost, {} left out); at the encoder {} late, {} filtered, {} dropped, \
              {} thinned; sent {} messages of events, {} of volumes, {} pictures",
             self.events,
             self.windows,
-            self.frames,
-            self.sequence.lost,
-            self.refused,
+            account.frames,
+            account.sequence.lost,
+            account.refused,
             counts.events_late,
             counts.events_filtered,
             counts.events_dropped,

@@ -14,6 +14,7 @@ pub mod delay;
 pub mod density;
 pub mod emulate;
 pub mod encode;
+pub mod frame_reader;
 pub mod frames;
 pub mod play;
 pub mod record;
