@@ -14,7 +14,7 @@ use usb_bridge::stop::Stop;
 
 use crate::arguments::{Has, NodeArguments, RosArguments};
 use crate::node::{
-    Context, NAMESPACE, bridge, decode, delay, density, emulate, encode, play, record,
+    Context, NAMESPACE, bridge, decode, delay, density, emulate, encode, log, play, record,
 };
 use crate::operator::{Operator, Operators};
 use crate::transport::Transport;
@@ -104,6 +104,7 @@ enum Command {
     Decode(decode::Decode),
     Density(density::Monitor),
     Delay(delay::Delay),
+    Log(log::Log),
     Record(record::Record),
     Play(play::Play),
     Compose(Compose),
@@ -315,6 +316,7 @@ impl Command {
             Self::Decode(_) => "decode",
             Self::Density(_) => "density",
             Self::Delay(_) => "delay",
+            Self::Log(_) => "log",
             Self::Record(_) => "record",
             Self::Play(_) => "play",
             Self::Compose(_) => "compose",
@@ -331,6 +333,7 @@ impl Command {
             Self::Decode(_) => decode::PUBLISHES,
             Self::Density(_) => density::PUBLISHES,
             Self::Delay(_)
+            | Self::Log(_)
             | Self::Record(_)
             | Self::Play(_)
             | Self::Compose(_)
@@ -346,6 +349,7 @@ impl Command {
             Self::Decode(node) => node.run(context, operators),
             Self::Density(node) => node.run(context),
             Self::Delay(node) => node.run(context),
+            Self::Log(node) => node.run(context, operators),
             Self::Record(node) => node.run(context),
             Self::Play(node) => node.run(context),
             Self::Compose(_) | Self::Router(_) => bail!("this is no node"),

@@ -7,8 +7,10 @@ pub enum Order {
     InOrder,
     /// So many before it have not come.
     Lost(u64),
-    /// It has come after a later one, or twice.
+    /// It has come after a later one.
     Late,
+    /// It has come before.
+    Repeated,
     /// The publisher has begun anew.
     Restarted,
 }
@@ -16,14 +18,52 @@ pub enum Order {
 /// How far back a number may be that is late; beyond it, counting has begun anew.
 const LATE_MAX: u64 = 1000;
 
+/// Which of the latest numbers have come, one bit each.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Come([u64; COME / 64]);
+
+/// So many are remembered.
+const COME: usize = 1024;
+
+const _: () = assert!(COME as u64 > LATE_MAX);
+
+impl Come {
+    const fn place(number: u64) -> (usize, u64) {
+        let place = number as usize % COME;
+        (place / 64, 1 << (place % 64))
+    }
+
+    const fn has(&self, number: u64) -> bool {
+        let (word, bit) = Self::place(number);
+        self.0[word] & bit != 0
+    }
+
+    const fn set(&mut self, number: u64) {
+        let (word, bit) = Self::place(number);
+        self.0[word] |= bit;
+    }
+
+    /// Forgets what stood in the places of so many numbers before this one.
+    fn miss(&mut self, number: u64, count: u64) {
+        for back in 1..=count.min(COME as u64) {
+            let (word, bit) = Self::place(number.wrapping_sub(back));
+            self.0[word] &= !bit;
+        }
+    }
+}
+
 /// The numbers of one publisher's messages.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Sequence {
     next: Option<u64>,
+    first: u64,
+    come: Come,
     /// Messages that have not come.
     pub lost: u64,
-    /// Messages that came after a later one, or twice.
+    /// Messages that came after a later one.
     pub late: u64,
+    /// Messages that came again.
+    pub repeated: u64,
     /// Times that the publisher has begun anew.
     pub restarts: u64,
 }
@@ -35,20 +75,45 @@ impl Sequence {
             None => Order::InOrder,
             Some(next) if number == next => Order::InOrder,
             Some(next) if number > next => Order::Lost(number - next),
-            Some(next) if number > 0 && next - number <= LATE_MAX => Order::Late,
+            Some(next) if number > 0 && next - number <= LATE_MAX => {
+                if self.come.has(number) {
+                    Order::Repeated
+                } else {
+                    Order::Late
+                }
+            }
             Some(_) => Order::Restarted,
         };
         match order {
-            Order::InOrder => {}
-            Order::Lost(messages) => self.lost = self.lost.saturating_add(messages),
+            Order::InOrder => {
+                if self.next.is_none() {
+                    self.first = number;
+                }
+            }
+            Order::Lost(messages) => {
+                self.lost = self.lost.saturating_add(messages);
+                self.come.miss(number, messages);
+            }
             Order::Late => {
-                // It was counted as lost before; of a repeated one, nothing was.
                 self.late += 1;
-                self.lost = self.lost.saturating_sub(1);
+                // It was counted as lost; what is from before the first was not.
+                if number >= self.first {
+                    self.lost = self.lost.saturating_sub(1);
+                }
+                self.come.set(number);
                 return order;
             }
-            Order::Restarted => self.restarts += 1,
+            Order::Repeated => {
+                self.repeated += 1;
+                return order;
+            }
+            Order::Restarted => {
+                self.restarts += 1;
+                self.first = number;
+                self.come = Come::default();
+            }
         }
+        self.come.set(number);
         self.next = Some(number.saturating_add(1));
         order
     }
@@ -66,6 +131,8 @@ mod tests {
             (8, Order::InOrder),
             (11, Order::Lost(2)),
             (9, Order::Late),
+            (9, Order::Repeated),
+            (11, Order::Repeated),
             (12, Order::InOrder),
             (0, Order::Restarted),
             (1, Order::InOrder),
@@ -76,6 +143,24 @@ mod tests {
         ] {
             assert_eq!(sequence.follow(number), order, "{number}");
         }
-        assert_eq!((sequence.late, sequence.restarts), (1, 2));
+        assert_eq!((sequence.late, sequence.repeated), (1, 2));
+        assert_eq!(sequence.restarts, 2);
+    }
+
+    #[test]
+    fn what_comes_late_is_not_lost_and_what_comes_again_is() {
+        let mut sequence = Sequence::default();
+        for number in (0..2000).filter(|number| number % 3 != 0) {
+            sequence.follow(number);
+        }
+        // The first that comes is 1: what is before it is not known to be missing.
+        assert_eq!(sequence.lost, 666);
+        assert_eq!(Sequence::default().follow(0), Order::InOrder);
+        for number in 1100..1999 {
+            sequence.follow(number);
+        }
+        let late = (1100..1999).filter(|number| number % 3 == 0).count() as u64;
+        assert_eq!((sequence.late, sequence.repeated), (late, 899 - late));
+        assert_eq!(sequence.lost, 666 - late);
     }
 }

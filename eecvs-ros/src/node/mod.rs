@@ -3,6 +3,7 @@
 //! ```text
 //! emulate, bridge --events--> encode --frames--> decode --decoded/events, volume, image-->
 //!                     +-----> density --density, /diagnostics-->
+//! frames --> log
 //! ```
 //!
 //! Topics are relative to the namespace, which is `/event_camera` unless `-r __ns:=` says otherwise: one namespace
@@ -16,6 +17,7 @@ pub mod emulate;
 pub mod encode;
 pub mod frame_reader;
 pub mod frames;
+pub mod log;
 pub mod play;
 pub mod record;
 

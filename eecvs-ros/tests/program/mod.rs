@@ -44,6 +44,14 @@ impl Program {
         }
     }
 
+    /// Asks it to end, by the signal of `kill`.
+    #[allow(dead_code)]
+    pub fn terminate(&self) {
+        let id = self.child.id().to_string();
+        let status = Command::new("kill").args(["-TERM", &id]).status();
+        assert!(status.unwrap().success());
+    }
+
     /// Waits for its end; its output and errors, where it ended well and in time.
     pub fn finish(mut self, most: Duration) -> (String, String) {
         let until = Instant::now() + most;

@@ -1,0 +1,203 @@
+//! `log`: what frames tell, and their coefficients, as tables.
+
+mod csv;
+mod file;
+mod mcap;
+mod parquet;
+mod table;
+mod window;
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use host_harness::decode::FrameCounts;
+
+use super::frame_reader::{Account, FrameReader};
+use super::{Context, QosOptions};
+use crate::message::{Frame, Time};
+use crate::operator::{Decoded, Operators};
+use file::{Files, LogFile};
+use table::{COEFFICIENTS, FEATURES, Rows};
+use window::{Told, Window};
+
+/// Write what frames tell as tables: a row per window, and a row per coefficient
+///
+/// A window that came as events (mode hybrid) has no coefficients, and no row among them. Files end as .csv, .parquet
+/// or .mcap (JSON with a schema); what nothing tells is empty. No file is written over.
+#[derive(Debug, Clone, Args)]
+pub struct Log {
+    /// A row for each window: its time, density, regime, transform, coder, frames, bytes, losses. window_events are
+    /// those of the encoder's window, events those in the frames that came
+    #[arg(long, value_name = "FILE", value_parser = LogFile::parse)]
+    features: Option<LogFile>,
+
+    /// A row for each coefficient: its window, pixel, transform, k and value, re, of the DTFT im too. Both tables may
+    /// share one .mcap
+    #[arg(long, value_name = "FILE", value_parser = LogFile::parse)]
+    coefficients: Option<LogFile>,
+
+    /// End after so many seconds without frames; of none at all, never
+    #[arg(long, value_name = "S")]
+    idle_s: Option<u32>,
+
+    #[command(flatten)]
+    qos: QosOptions,
+}
+
+/// Numbers of the tables in [`Files`].
+const FEATURES_TABLE: usize = 0;
+const COEFFICIENTS_TABLE: usize = 1;
+
+impl Log {
+    /// Writes until it is to stop.
+    ///
+    /// # Errors
+    /// No file is asked for, or one cannot be written; the transport.
+    pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
+        ensure!(
+            self.features.is_some() || self.coefficients.is_some(),
+            "nothing to write: give --features FILE, --coefficients FILE, or both"
+        );
+        let mut frames = FrameReader::new(&mut context, operators, self.qos.qos(), self.idle_s)?;
+        let topic = |name: &str| context.topic(name);
+        let files = Files::create(&[
+            (self.features.as_ref(), FEATURES, topic(FEATURES.name)?),
+            (
+                self.coefficients.as_ref(),
+                COEFFICIENTS,
+                topic(COEFFICIENTS.name)?,
+            ),
+        ])?;
+        let mut writing = Writing {
+            files,
+            open: None,
+            totals: Totals::default(),
+        };
+        let written = writing.all(&context, &mut frames, operators);
+        let Writing { files, totals, .. } = writing;
+        // What was written before an error is to be read too.
+        let finished = files.finish();
+        written.and(finished)?;
+        context.say(&totals.line(frames.account(), &frames.counts()));
+        let coefficients = self
+            .coefficients
+            .filter(|file| self.features.as_ref() != Some(file));
+        for file in self.features.iter().chain(&coefficients) {
+            context.say(&format!("{}: written", file.name()));
+        }
+        Ok(())
+    }
+}
+
+/// What was written.
+#[derive(Debug, Default)]
+struct Totals {
+    windows: u64,
+    events: u64,
+    coefficients: u64,
+    bytes: u64,
+}
+
+impl Totals {
+    fn line(&self, account: &Account, counts: &FrameCounts) -> String {
+        format!(
+            "{} windows of {} events and {} coefficients in {} frames ({} lost, {} left out) of {} bytes; at the encoder \
+             {} late, {} filtered, {} dropped, {} thinned",
+            self.windows,
+            self.events,
+            self.coefficients,
+            account.frames,
+            account.sequence.lost,
+            account.refused,
+            self.bytes,
+            counts.events_late,
+            counts.events_filtered,
+            counts.events_dropped,
+            counts.events_thinned
+        )
+    }
+}
+
+/// Puts rows together as frames come.
+struct Writing {
+    files: Files,
+    /// The window whose last frame has not come.
+    open: Option<Window>,
+    totals: Totals,
+}
+
+impl Writing {
+    fn all(
+        &mut self,
+        context: &Context,
+        frames: &mut FrameReader<'_>,
+        operators: &Operators,
+    ) -> Result<()> {
+        let mut ready: Vec<Decoded> = Vec::new();
+        while let Some(frame) = frames.next_frame(context, &mut ready)? {
+            let operator = operators.find(&frame.operator_name);
+            let told = Told::new(&frame, operator.map_or("", |operator| operator.name()));
+            let lost = frames.account().sequence.lost;
+            self.frame(&frame, &told, lost, ready.drain(..))?;
+        }
+        frames.end(&mut ready);
+        self.close(frames.account().sequence.lost, &mut ready.into_iter())
+    }
+
+    /// Takes a frame, and the windows that end before or with it.
+    fn frame(
+        &mut self,
+        frame: &Frame,
+        told: &Told<'_>,
+        lost: u64,
+        mut ready: impl Iterator<Item = Decoded>,
+    ) -> Result<()> {
+        if self.open.as_ref().is_some_and(|open| !open.has_part(told)) {
+            self.close(lost, &mut ready)?;
+        }
+        self.open.get_or_insert_with(|| Window::new(told)).add(told);
+        if told.is_last() {
+            self.close(lost, &mut ready)?;
+        }
+        // Another operator's windows are ready when it likes.
+        for decoded in ready {
+            self.coefficients(&decoded, frame.seq, frame.header.stamp)?;
+        }
+        Ok(())
+    }
+
+    /// Ends the open window, whose events are the next that are ready.
+    fn close(&mut self, lost: u64, ready: &mut dyn Iterator<Item = Decoded>) -> Result<()> {
+        let Some(open) = &self.open else {
+            return Ok(());
+        };
+        let (seq, stamp) = (open.seq, open.stamp);
+        if open.header.is_some()
+            && open.events > 0
+            && let Some(decoded) = ready.next()
+        {
+            self.coefficients(&decoded, seq, stamp)?;
+        }
+        if let Some(window) = self.open.take() {
+            self.totals.windows += 1;
+            self.totals.events += window.events;
+            self.totals.bytes += window.bytes;
+            let row = Rows::features(&window, lost);
+            self.files.put(FEATURES_TABLE, &row)?;
+        }
+        Ok(())
+    }
+
+    /// Takes what was decoded of the open window.
+    fn coefficients(&mut self, decoded: &Decoded, seq: u64, stamp: Time) -> Result<()> {
+        let (Decoded::Window(decoded), Some(open)) = (decoded, &mut self.open) else {
+            return Ok(());
+        };
+        let coefficients = open.add_decoded(decoded);
+        if coefficients > 0 {
+            self.totals.coefficients += coefficients;
+            let rows = Rows::coefficients(seq, stamp, decoded);
+            self.files.put(COEFFICIENTS_TABLE, &rows)?;
+        }
+        Ok(())
+    }
+}
