@@ -31,7 +31,7 @@ wheels=(
     ros-kilted-rosidl-core-generators==0.3.1
     ros-kilted-rosidl-default-generators==1.7.1
     catkin-pkg==1.1.1 empy==3.3.4 lark-parser==0.12.0 numpy==2.2.6
-    eclipse-zenoh==1.10.2 mcap==1.6.0 mcap-ros2-support==0.6.0 rosbags==0.11.9
+    eclipse-zenoh==1.10.2 mcap==1.6.0 mcap-ros2-support==0.6.0 rosbags==0.11.9 zenoh-ros2-sdk==0.1.8
 )
 # A layout that became another would show here first.
 expected="hash event_camera_msgs/msg/EventPacket RIHS01_d6fa176260b1f37e5a40845305315e150a0f18191241eb64f407442aa29844aa"

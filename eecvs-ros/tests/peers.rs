@@ -1,5 +1,5 @@
 //! Peers that are not ours at the other end, where `./test.sh ros` has made them: genuine ROS 2, Fast DDS in C++ and
-//! Cyclone DDS in C, each in domains of its own.
+//! Cyclone DDS in C, each in domains of its own, and an implementation of rmw_zenoh's convention in Python.
 
 mod again;
 mod program;
@@ -10,14 +10,13 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use again::again;
-use eecvs_ros::message::{EventPacket, Frame, Message, TYPES, Type};
+use eecvs_ros::message::{EventPacket, Frame, Header, Message, TYPES, Time, Type, to_cdr};
 use eecvs_ros::names::NodeName;
-use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
-use program::{Program, QOS};
+use eecvs_ros::transport::zenoh::{Links, Router, Zenoh};
+use eecvs_ros::transport::{Qos, Transport};
+use program::{PATIENCE, Program, QOS, free_port};
 use serde_json::Value;
-
-const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Messages that pass in each direction.
 const COUNT: usize = 30;
@@ -192,4 +191,116 @@ fn ros_sees_the_nodes() {
         services.contains_key("/event_camera/encode/list_parameters"),
         "{seen}"
     );
+}
+
+/// Messages come back as they went, the hashes are those that follow from the definitions, and the ends of topics
+/// are seen with their QoS.
+#[test]
+fn packets_and_frames_pass_over_zenoh_and_back() {
+    let Some(folder) = folder() else { return };
+    let header = |number: u32| Header {
+        stamp: Time {
+            sec: 1_700_000_000,
+            nanosec: number,
+        },
+        frame_id: ".".repeat(number as usize % 5),
+    };
+    // More than a batch of Zenoh's, and no whole number of words.
+    let data = |number: u32| -> Vec<u8> {
+        let mixed = |index: u32| (index.wrapping_mul(2_654_435_761) >> 24) as u8;
+        (0..90_001 + number)
+            .map(|index| mixed(index ^ number))
+            .collect()
+    };
+    let packet = |number: u32| {
+        to_cdr(&EventPacket {
+            header: header(number),
+            height: 720,
+            width: 1280,
+            seq: number.into(),
+            time_base: u64::MAX - 5,
+            encoding: "evt3".to_owned(),
+            is_bigendian: false,
+            events: data(number),
+        })
+    };
+    let frame = |number: u32| {
+        to_cdr(&Frame {
+            header: header(number),
+            seq: number.into(),
+            t0_us: 1 << 40,
+            duration_us: 33_333,
+            height: 720,
+            width: 1280,
+            events: number,
+            operator_name: "eecvs".to_owned(),
+            data: data(number),
+        })
+    };
+    let crate_folder = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let packet_file = "peers/event_camera_msgs/msg/EventPacket.msg";
+    let frame_file = "../eecvs_msgs/msg/Frame.msg";
+    type Make<'m> = &'m dyn Fn(u32) -> Vec<u8>;
+    let kinds: [(Type, &str, Make<'_>); 2] = [
+        (EventPacket::TYPE, packet_file, &packet),
+        (Frame::TYPE, frame_file, &frame),
+    ];
+    for (kind, file, make) in kinds {
+        let port = free_port();
+        let endpoint = vec![format!("tcp/127.0.0.1:{port}")];
+        let listens = Links {
+            listen: endpoint.clone(),
+            ..Links::default()
+        };
+        let connects = Links {
+            connect: endpoint,
+            ..Links::default()
+        };
+        let router = Router::start(&listens).unwrap();
+        let domain = 9;
+        let transport = Zenoh::join(domain, &connects).unwrap();
+        let name = NodeName::new("/robot", "test").unwrap();
+        let mut node = transport.node(&name, &[]).unwrap();
+        let mut subscription = node.subscription("/back", kind, QOS).unwrap();
+        let qos = Qos {
+            reliable: true,
+            ..QOS
+        };
+        let mut publisher = node.publisher("/there", kind, qos).unwrap();
+        let mut command = Command::new(folder.join("venv/bin/python"));
+        command
+            .arg(crate_folder.join("peers/zenoh_peer.py"))
+            .args([&port.to_string(), kind.name])
+            .arg(crate_folder.join(file))
+            .args([&COUNT.to_string(), "/there", "/back"]);
+        let peer = Program::start("zenoh_peer", domain, command);
+        let until = Instant::now() + PATIENCE;
+        while publisher.subscribers() == 0 && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        // Tokens come before routes: the first ones may be lost.
+        let mut back = None;
+        while back.is_none() && Instant::now() < until {
+            publisher.publish(&make(0)).unwrap();
+            back = subscription.take(Duration::from_secs(1)).unwrap();
+        }
+        for number in 1..COUNT as u32 {
+            let came = again(kind, &back.expect("a message")).unwrap();
+            assert!(came == make(number - 1), "another message");
+            publisher.publish(&make(number)).unwrap();
+            back = subscription.take(PATIENCE).unwrap();
+        }
+        let (output, _) = peer.finish(PATIENCE);
+        let said = lines(&output);
+        assert_eq!(said[0]["hash"], kind.hash);
+        let topics = &said[2]["topics"];
+        let end = |qos| {
+            serde_json::json!([{
+                "node": "/robot/test", "type": kind.name, "hash": kind.hash, "qos": qos,
+            }])
+        };
+        assert_eq!(topics["/there"]["publishers"], end("::,10000:,:,:,,"));
+        assert_eq!(topics["/back"]["subscribers"], end("2::,10000:,:,:,,"));
+        drop(router);
+    }
 }

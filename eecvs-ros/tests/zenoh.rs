@@ -3,7 +3,6 @@
 mod pipeline;
 mod program;
 
-use std::net::TcpListener;
 use std::path::Path;
 use std::sync::mpsc;
 use std::thread;
@@ -15,13 +14,12 @@ use eecvs_ros::transport::graph::{key_of, tokens_of};
 use eecvs_ros::transport::zenoh::{Links, Router, Zenoh};
 use eecvs_ros::transport::{Qos, Transport};
 use pipeline::{Network, counted, scene, through_programs};
+use program::free_port;
 use zenoh::Wait;
 
 /// An endpoint of this computer at which nobody listens.
 fn free() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = listener.local_addr().unwrap().port();
-    format!("tcp/127.0.0.1:{port}")
+    format!("tcp/127.0.0.1:{}", free_port())
 }
 
 /// Two routers, the second of which connects to the first.

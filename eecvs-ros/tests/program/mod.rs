@@ -1,5 +1,6 @@
 //! Programs that run beside a test, in domains of their own.
 
+use std::net::TcpListener;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
@@ -13,6 +14,13 @@ pub const QOS: Qos = Qos {
 
 /// How long programs may take to find each other and to end.
 pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A TCP port of this computer at which nobody listens.
+#[allow(dead_code)]
+pub fn free_port() -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.local_addr().unwrap().port()
+}
 
 /// A program that ends with the test.
 pub struct Program {
