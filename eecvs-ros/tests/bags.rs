@@ -14,10 +14,8 @@ use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
 use host_harness::formats::{EventReader, open};
 use host_harness::scene::{Preset, SceneConfig, emulate};
-use program::{Program, QOS};
+use program::{PATIENCE, Program, QOS};
 use sha2::{Digest, Sha256};
-
-const PATIENCE: Duration = Duration::from_secs(60);
 
 const DURATION_US: u64 = 300_000;
 

@@ -23,11 +23,9 @@ use host_harness::encode::{EncodeSummary, Limits};
 use host_harness::formats::EventReader;
 use host_harness::frame_file::FrameReader;
 use host_harness::scene::{Preset, SceneConfig, emulate};
-use program::{Program, QOS};
+use program::{PATIENCE, Program, QOS};
 use tables::{Row, csv, mcap, number, parquet};
 use usb_bridge::stop::Stop;
-
-const PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Parser)]
 #[command(args_override_self = true)]
