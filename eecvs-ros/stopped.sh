@@ -9,7 +9,7 @@ cd "$(dirname "$0")/.."
 transport=${1:-dds} seconds=${2:-600}
 cargo build --release --quiet -p eecvs-ros
 program=target/release/eecvs-ros
-export ROS_DOMAIN_ID=91 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-91} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 run=("$program" --transport "$transport")
 trap 'kill -CONT $(jobs -p) 2>/dev/null; kill $(jobs -p) 2>/dev/null; wait 2>/dev/null' EXIT
 if [ "$transport" = zenoh ]; then
