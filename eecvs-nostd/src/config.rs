@@ -117,6 +117,16 @@ impl Config {
         }
     }
 
+    /// The least budget, bytes a second: what the headers of all windows take, and an eighth more.
+    pub(crate) const fn budget_min(&self) -> u64 {
+        let window_us = match NonZeroU32::new(self.window.window_us) {
+            Some(window_us) => window_us,
+            None => NonZeroU32::MIN,
+        };
+        let windows = 1_000_000_u32.div_ceil(window_us.get());
+        windows as u64 * WINDOW_BYTES_MIN as u64 * 8 / 7
+    }
+
     /// Whether it can run with the memory.
     pub(crate) const fn check(&self, scratch: &Scratch<'_>) -> Result<(), ConfigError> {
         if self.m == 0 || self.m as usize > M_MAX {
@@ -127,16 +137,10 @@ impl Config {
         {
             return Err(ConfigError::Grid);
         }
-        if let Some(budget) = self.bytes_per_second {
-            let window_us = match NonZeroU32::new(self.window.window_us) {
-                Some(window_us) => window_us,
-                None => NonZeroU32::MIN,
-            };
-            let windows = 1_000_000_u32.div_ceil(window_us.get());
-            let least = windows as u64 * WINDOW_BYTES_MIN as u64 * 8 / 7;
-            if self.mode.is_transform() || (budget.get() as u64) < least {
-                return Err(ConfigError::Rate);
-            }
+        if let Some(budget) = self.bytes_per_second
+            && (self.mode.is_transform() || (budget.get() as u64) < self.budget_min())
+        {
+            return Err(ConfigError::Rate);
         }
         let has_order = HAS_ORDER && !self.mode.is_transform() && !scratch.order.is_empty();
         if self.keep_order && !has_order {

@@ -84,25 +84,11 @@ pub(crate) struct Plan {
 impl Rate {
     /// A full bucket, for windows of `window_us`.
     pub(crate) const fn new(budget: NonZeroU32, window_us: u32) -> Self {
-        let window_us = window_us as u64;
-        // c = T / (1 s + T) takes a window's fill, (1 - c) T.
-        let share_q16 = max(
-            (window_us << 16) / (1_000_000 + window_us) + 1,
-            SHARE_MIN_Q16,
-        );
-        let budget = budget.get() as i64;
-        let brim = ((budget * PARTS) >> 16) * share_q16 as i64;
-        let flow = (budget * ((1 << 16) - share_q16 as i64)) >> 16;
-        let part_q8 = flow as u64 * window_us / max((brim >> 8) as u64, 1);
-        Self {
-            brim,
-            flow,
-            part_q8: if part_q8 > 1 << 8 {
-                1 << 8
-            } else {
-                max(part_q8, PART_MIN_Q8)
-            },
-            bucket: brim,
+        let mut rate = Self {
+            brim: 0,
+            flow: 0,
+            part_q8: 0,
+            bucket: i64::MAX,
             end_us: None,
             ratios_q8: [0; RATIOS],
             untried_q8: RATIO_START_Q8,
@@ -112,6 +98,31 @@ impl Rate {
             planned: 0,
             spent: 0,
             coded: 0,
+        };
+        rate.set_budget(budget, window_us);
+        rate
+    }
+
+    /// Goes on with another budget: what is in the bucket stays there, as far as it finds room, and so does what was
+    /// learned. A second in which that happens takes no more than the larger of both.
+    pub(crate) const fn set_budget(&mut self, budget: NonZeroU32, window_us: u32) {
+        let window_us = window_us as u64;
+        // c = T / (1 s + T) takes a window's fill, (1 - c) T.
+        let share_q16 = max(
+            (window_us << 16) / (1_000_000 + window_us) + 1,
+            SHARE_MIN_Q16,
+        );
+        let budget = budget.get() as i64;
+        self.brim = ((budget * PARTS) >> 16) * share_q16 as i64;
+        self.flow = (budget * ((1 << 16) - share_q16 as i64)) >> 16;
+        let part_q8 = self.flow as u64 * window_us / max((self.brim >> 8) as u64, 1);
+        self.part_q8 = if part_q8 > 1 << 8 {
+            1 << 8
+        } else {
+            max(part_q8, PART_MIN_Q8)
+        };
+        if self.bucket > self.brim {
+            self.bucket = self.brim;
         }
     }
 
@@ -328,27 +339,35 @@ mod tests {
             prop_assert!(found <= exact + 0.01 && found > exact - 2.5, "{} {}", found, exact);
         }
 
-        /// No second takes more than its budget, whatever windows come and whatever they spend of
-        /// what they are offered.
+        /// No second takes more than the largest of the budgets that it had, whatever windows come and whatever
+        /// they spend of what they are offered.
         #[test]
         fn no_second_exceeds_the_budget(
             budget in 1_u32.., window_us in 1_u32..,
-            windows in proptest::collection::vec((1_u32..3_000_000, 0.0_f64..=1.0, 0_u32..3), 1..200),
+            windows in proptest::collection::vec((1_u32..3_000_000, 0.0_f64..=1.0, 0_u32..3, 0_u32..40), 1..200),
         ) {
             let mut rate = Rate::new(NonZeroU32::new(budget).unwrap(), window_us);
             let mut end_us = 1_u64 << 40;
             let mut spent = std::vec::Vec::new();
-            for (since_us, share, shift) in windows {
+            let mut now = budget;
+            for (since_us, share, shift, change) in windows {
+                let before = now;
+                // Now and then a part of the first one, down to a thousandth.
+                if change < 10 {
+                    now = (budget >> change).max(1);
+                    rate.set_budget(NonZeroU32::new(now).unwrap(), window_us);
+                }
                 end_us += u64::from(since_us >> (8 * shift));
                 rate.fill(end_us);
                 let bytes = (rate.room() as f64 * share) as usize;
                 rate.spend(bytes.min(rate.room()), 0, 1);
-                spent.push((end_us, bytes.min(rate.room() + bytes) as u64));
+                spent.push((end_us, bytes.min(rate.room() + bytes) as u64, now.max(before)));
             }
-            for (i, (start_us, _)) in spent.iter().enumerate() {
-                let second = spent[i..].iter().take_while(|(end_us, _)| *end_us < start_us + 1_000_000);
-                let bytes: u64 = second.map(|(_, bytes)| bytes).sum();
-                prop_assert!(bytes <= u64::from(budget), "{} {}", bytes, budget);
+            for (i, (start_us, ..)) in spent.iter().enumerate() {
+                let second = || spent[i..].iter().take_while(|(end_us, ..)| *end_us < start_us + 1_000_000);
+                let bytes: u64 = second().map(|(_, bytes, _)| bytes).sum();
+                let budget = second().map(|(.., budget)| u64::from(*budget)).max().unwrap();
+                prop_assert!(bytes <= budget, "{} {}", bytes, budget);
             }
         }
     }

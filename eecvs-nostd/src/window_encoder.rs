@@ -1,5 +1,6 @@
 //! The stages composed: a closed window in, its frames out.
 
+use core::num::NonZeroU32;
 use core::ops::Range;
 
 use crate::arrival;
@@ -148,6 +149,32 @@ impl<'b> WindowEncoder<'b> {
     pub const fn restart(&mut self) {
         self.chain = Chain::START;
         self.breaks = false;
+    }
+
+    /// Goes on with another [`Config::bytes_per_second`], or without, from the next window on. A budget that the
+    /// windows' headers alone would exceed is raised to what they take. What was learned of the scene stays, and a second
+    /// in which the budget changes takes no more than the larger of both.
+    ///
+    /// # Errors
+    /// [`ConfigError::Rate`] of a mode that has no budget; the one before stays.
+    pub fn set_budget(&mut self, budget: Option<NonZeroU32>) -> Result<(), ConfigError> {
+        let Some(budget) = budget else {
+            self.config.bytes_per_second = None;
+            self.rate = None;
+            return Ok(());
+        };
+        if self.config.mode.is_transform() {
+            return Err(ConfigError::Rate);
+        }
+        let least = self.config.budget_min().min(u64::from(u32::MAX)) as u32;
+        let budget = NonZeroU32::new(least).map_or(budget, |least| budget.max(least));
+        let window_us = self.config.window.window_us;
+        self.config.bytes_per_second = Some(budget);
+        match &mut self.rate {
+            Some(rate) => rate.set_budget(budget, window_us),
+            None => self.rate = Some(Rate::new(budget, window_us)),
+        }
+        Ok(())
     }
 
     /// Lends other memory for the dense coder, or none: before a [`Self::set_up`], as what was learned

@@ -387,6 +387,7 @@ impl Encode {
         let hot = self.codec.hot_pixels(reader.sensor())?;
         let codec = Codec {
             hot: &hot,
+            budget: None,
             config,
             kernel: self.kernel.kernel(),
         };

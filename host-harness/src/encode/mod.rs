@@ -16,7 +16,7 @@ use eecvs_nostd::{Header, OUTPUT_BYTES_MIN, Transform};
 use serde::{Deserialize, Serialize};
 
 use crate::formats::{EventReader, Pause};
-pub use codec::Codec;
+pub use codec::{Budget, Codec};
 use cutter::{Cutter, Direct};
 pub use storage::HostStorage;
 use storage::touch;
@@ -176,7 +176,7 @@ pub fn encode<'h>(
     // What a window may take follows from those before it; and a live source's windows are not to
     // wait for others.
     let is_live = reader.pause() != Pause::Ended;
-    let threads = if is_live || codec.config.bytes_per_second.is_some() {
+    let threads = if is_live || codec.config.bytes_per_second.is_some() || codec.budget.is_some() {
         NonZeroUsize::MIN
     } else {
         threads
@@ -219,6 +219,10 @@ fn encode_here(
     let mut summary = EncodeSummary::default();
     let mut encoding = Duration::ZERO;
     while cutter.cut(window, &mut encoding)? {
+        if let Some(budget) = codec.budget {
+            // A mode without a budget has none here either.
+            let _ = encoder.set_budget(budget.get());
+        }
         loop {
             let started = Instant::now();
             let encoded = codec.next_frame(&mut encoder, window, &mut frame);

@@ -1,0 +1,281 @@
+//! The board's figures in OpenMetrics' text format.
+
+use std::fmt;
+
+use prometheus_client::collector::Collector;
+use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric, text};
+use prometheus_client::metrics::MetricType;
+use prometheus_client::metrics::counter::ConstCounter;
+use prometheus_client::metrics::gauge::ConstGauge;
+use prometheus_client::registry::Registry;
+
+use super::Overview;
+use super::row::Row;
+
+/// What the names of all metrics begin with.
+const PREFIX: &str = "eecvs";
+
+/// Names of regimes, in the order of a row's windows.
+const REGIMES: [&str; 3] = ["sparse", "moderate", "dense"];
+
+/// The text of a board.
+pub(super) fn text(board: Overview) -> String {
+    let mut registry = Registry::with_prefix(PREFIX);
+    registry.register_collector(Box::new(board));
+    let mut text = String::new();
+    // A string takes all text.
+    let _ = text::encode(&mut text, &registry);
+    text
+}
+
+/// A metric of every sensor, or of several kinds of each.
+struct Metric {
+    name: &'static str,
+    help: &'static str,
+    /// Of the kinds, where there are any.
+    label: &'static str,
+    kind: MetricType,
+    values: fn(&Row) -> Vec<(&'static str, f64)>,
+}
+
+/// One that counts from the sensor's start, or the hub's, on.
+const fn counter(
+    name: &'static str,
+    help: &'static str,
+    label: &'static str,
+    values: fn(&Row) -> Vec<(&'static str, f64)>,
+) -> Metric {
+    let kind = MetricType::Counter;
+    Metric {
+        name,
+        help,
+        label,
+        kind,
+        values,
+    }
+}
+
+/// One that goes up and down.
+const fn gauge(
+    name: &'static str,
+    help: &'static str,
+    label: &'static str,
+    values: fn(&Row) -> Vec<(&'static str, f64)>,
+) -> Metric {
+    let kind = MetricType::Gauge;
+    Metric {
+        name,
+        help,
+        label,
+        kind,
+        values,
+    }
+}
+
+/// A value that has no kinds.
+fn one(value: f64) -> Vec<(&'static str, f64)> {
+    vec![("", value)]
+}
+
+const METRICS: &[Metric] = &[
+    gauge(
+        "sensor_connected",
+        "Whether the sensor is connected",
+        "",
+        |row| one(f64::from(u8::from(row.is_connected))),
+    ),
+    counter(
+        "received_frames",
+        "Frames that came to this hub, each once",
+        "",
+        |row| one(row.frames_received as f64),
+    ),
+    counter("received_bytes", "Bytes of these frames", "", |row| {
+        one(row.bytes_received as f64)
+    }),
+    counter("received_events", "Events in these frames", "", |row| {
+        one(row.events_received as f64)
+    }),
+    counter(
+        "received_windows",
+        "Windows that came to this hub",
+        "regime",
+        |row| {
+            let windows = REGIMES.into_iter().zip(row.windows);
+            windows
+                .map(|(regime, count)| (regime, count as f64))
+                .collect()
+        },
+    ),
+    gauge(
+        "frame_age_seconds",
+        "Time since the last frame came",
+        "",
+        |row| row.frame_age_s.into_iter().flat_map(one).collect(),
+    ),
+    gauge(
+        "latency_seconds",
+        "From a window's end to its arrival, by both computers' clocks",
+        "quantile",
+        |row| {
+            let latency = row.latency.map(|latency| {
+                let seconds = |us| us as f64 / 1e6;
+                [
+                    ("0.5", seconds(latency.p50_us)),
+                    ("0.99", seconds(latency.p99_us)),
+                ]
+            });
+            latency.into_iter().flatten().collect()
+        },
+    ),
+    counter(
+        "lost_events",
+        "Events that are in no frame, as the sensor says",
+        "cause",
+        |row| {
+            let losses = &row.losses;
+            vec![
+                ("late", losses.events_late as f64),
+                ("filtered", losses.events_filtered as f64),
+                ("dropped", losses.events_dropped as f64),
+                ("thinned", losses.events_thinned as f64),
+            ]
+        },
+    ),
+    gauge(
+        "missing_frames",
+        "Frames that exist and have not come to this hub",
+        "run",
+        |row| {
+            let losses = &row.losses;
+            vec![
+                ("latest", losses.frames_missing as f64),
+                ("earlier", losses.frames_missing_before as f64),
+            ]
+        },
+    ),
+    counter(
+        "lost_frames",
+        "Frames that were lost for good",
+        "cause",
+        |row| {
+            vec![
+                ("damaged", row.losses.frames_damaged as f64),
+                ("let_go", row.losses.frames_let_go as f64),
+            ]
+        },
+    ),
+    counter("repeated_frames", "Frames that came again", "", |row| {
+        one(row.losses.frames_repeated as f64)
+    }),
+    counter(
+        "disk_failures",
+        "Frames that the sensor could not write to disk",
+        "",
+        |row| one(row.losses.disk_failures as f64),
+    ),
+    counter(
+        "malformed_messages",
+        "Messages that could not be read",
+        "",
+        |row| one(row.losses.malformed as f64),
+    ),
+    counter("outages", "Times that the sensor had no link", "", |row| {
+        one(row.losses.outages as f64)
+    }),
+    counter("outages_seconds", "Time without a link", "", |row| {
+        one(row.losses.outages_s)
+    }),
+    gauge(
+        "budget_bytes_per_second",
+        "Bytes that the sensor is held to",
+        "",
+        |row| {
+            row.budget
+                .into_iter()
+                .flat_map(|budget| one(budget.into()))
+                .collect()
+        },
+    ),
+    gauge(
+        "congested",
+        "Whether the sensor lowers its rate for its link",
+        "",
+        |row| one(f64::from(u8::from(row.is_congested))),
+    ),
+    gauge(
+        "store_bytes",
+        "Frames that the sensor holds",
+        "place",
+        |row| {
+            vec![
+                ("memory", row.store_memory_bytes as f64),
+                ("disk", row.store_disk_bytes as f64),
+            ]
+        },
+    ),
+];
+
+impl Metric {
+    fn encode(&self, board: &Overview, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let mut family = encoder.encode_descriptor(self.name, self.help, None, self.kind)?;
+        for row in &board.sensors {
+            for (kind, value) in (self.values)(row) {
+                let labels = [("sensor", row.name.as_str()), (self.label, kind)];
+                let labels = if self.label.is_empty() {
+                    &labels[..1]
+                } else {
+                    &labels[..]
+                };
+                let metric = family.encode_family(&labels)?;
+                match self.kind {
+                    MetricType::Counter => ConstCounter::new(value).encode(metric)?,
+                    _ => ConstGauge::new(value).encode(metric)?,
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Collector for Overview {
+    fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
+        let own = [
+            (
+                "hub_routers",
+                "Other hubs with a link",
+                self.figures.routers as f64,
+            ),
+            ("hub_peers", "Others with a link", self.figures.peers as f64),
+            (
+                "hub_sensors",
+                "Sensors that are known",
+                self.sensors.len() as f64,
+            ),
+        ];
+        let labels = [("hub", self.hub.as_str())];
+        for (name, help, value) in own {
+            let mut family = encoder.encode_descriptor(name, help, None, MetricType::Gauge)?;
+            ConstGauge::new(value).encode(family.encode_family(&labels)?)?;
+        }
+        let own = [
+            (
+                "hub_refused_messages",
+                "Messages of sensors beyond what the hub has room for",
+                self.refused,
+            ),
+            (
+                "hub_malformed_messages",
+                "Messages of no known sensor that could not be read",
+                self.malformed,
+            ),
+        ];
+        for (name, help, value) in own {
+            let mut family = encoder.encode_descriptor(name, help, None, MetricType::Counter)?;
+            ConstCounter::new(value).encode(family.encode_family(&labels)?)?;
+        }
+        METRICS
+            .iter()
+            .try_for_each(|metric| metric.encode(self, &mut encoder))
+    }
+}

@@ -1,0 +1,75 @@
+//! The latest window of a sensor as a PNG.
+
+use std::sync::Arc;
+
+use eecvs_nostd::{Event, Frame, Polarity, Sensor};
+use host_harness::decode::Windows;
+use host_harness::reconstruct::DecodedWindow;
+use host_harness::report::frame_picture::{FrameStyle, FrameSums, event_frame};
+
+/// Longest side that is aimed at, in pixels.
+const SIDE: usize = 240;
+
+/// Sum of a pixel's polarities, at the most: its colour is the darkest far below.
+const SUM_MAX: u32 = 64;
+
+/// Sensor pixels on the side of a picture's pixel, and how sums become pixels.
+#[must_use]
+pub fn style(sensor: Sensor) -> (u16, FrameStyle) {
+    let longer = usize::from(sensor.width.max(sensor.height)).max(1);
+    let nearest = |of: usize, to: usize| ((of + to / 2) / to).max(1);
+    // At most 2048 / 240.
+    let shrink = nearest(longer, SIDE) as u16;
+    let upscale = nearest(SIDE, longer);
+    (shrink, FrameStyle { clip: 4, upscale })
+}
+
+/// The picture of a window's sums.
+#[must_use]
+pub fn png(sums: &FrameSums) -> Option<Vec<u8>> {
+    let (shrink, style) = style(sums.sensor());
+    event_frame(&sums.shrunk(shrink), style).png().ok()
+}
+
+/// The sums of the last whole window of some frames, of which the first decodes by itself.
+#[must_use]
+pub fn latest(frames: &[Arc<[u8]>]) -> Option<FrameSums> {
+    let mut windows = Windows::default();
+    let mut latest = None;
+    for frame in frames {
+        let Ok(frame) = Frame::parse(frame) else {
+            continue;
+        };
+        let mut ready = None;
+        // A frame that is refused is left out, as everywhere.
+        let _ = windows.take(&frame, |window| ready = Some(window));
+        if let Some(before) = ready.and_then(|window| latest.replace(window)) {
+            windows.reuse(before);
+        }
+    }
+    latest.map(|window| sums(&window))
+}
+
+fn sums(window: &DecodedWindow) -> FrameSums {
+    let sensor = window.header.sensor;
+    let mut sums = FrameSums::new(sensor, &window.events);
+    // Coefficients tell how many events a pixel has; their times are not needed here.
+    for pixel in &window.pixels {
+        for (polarity, count) in [(Polarity::On, pixel.on), (Polarity::Off, pixel.off)] {
+            let other = match polarity {
+                Polarity::On => pixel.off,
+                Polarity::Off => pixel.on,
+            };
+            let event = Event {
+                t_us: window.header.t0_us,
+                x: pixel.x,
+                y: pixel.y,
+                polarity,
+            };
+            for _ in 0..count.saturating_sub(other).min(SUM_MAX) {
+                sums.add(&event);
+            }
+        }
+    }
+    sums
+}

@@ -1,0 +1,134 @@
+//! Which of a sensor's frames have come here, run by run.
+
+use crate::order::Numbers;
+
+/// A run of a sensor.
+#[derive(Debug, Clone)]
+struct Run {
+    run: u64,
+    /// None until a number of it is known.
+    numbers: Option<Numbers>,
+    /// The highest number that has come.
+    newest: Option<u64>,
+    /// Number of the frame that comes next, as the sensor's last status has it.
+    next: Option<u64>,
+}
+
+/// What a frame is, among those of its sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// One of the present run, behind all that have come.
+    New,
+    /// One that was missing, of the present run or the one before it.
+    Late,
+    /// It has come before.
+    Again,
+    /// Of a run before these two, which is not accounted for.
+    Old,
+}
+
+/// The present run, the one before it, and what the earlier ones lost.
+#[derive(Debug, Clone, Default)]
+pub struct Runs {
+    now: Option<Run>,
+    before: Option<Run>,
+    /// Of the present run, whether a status has named it.
+    is_told: bool,
+    lost_before: u64,
+}
+
+impl Run {
+    /// Frames that exist and have not come.
+    fn missing(&self) -> u64 {
+        let numbers = self.numbers.as_ref();
+        numbers.map_or(0, |numbers| {
+            numbers.missing().saturating_add(numbers.lost())
+        })
+    }
+
+    fn take(&mut self, number: u64) -> Place {
+        let numbers = self.numbers.get_or_insert_with(|| Numbers::from(number));
+        if !numbers.take(number) {
+            return Place::Again;
+        }
+        // Not by what statuses say: these may overtake frames.
+        if self.newest.is_some_and(|newest| number < newest) {
+            return Place::Late;
+        }
+        self.newest = Some(number);
+        Place::New
+    }
+}
+
+impl Runs {
+    /// Makes a run the present one.
+    fn begin(&mut self, run: u64) {
+        let known = self.before.take_if(|before| before.run == run);
+        // Of a sensor that was here before, a new run is seen from its first frame on.
+        let numbers = self.now.is_some().then(|| Numbers::from(0));
+        let began = known.unwrap_or(Run {
+            run,
+            numbers,
+            newest: None,
+            next: None,
+        });
+        let was = self.now.replace(began);
+        if let Some(older) = std::mem::replace(&mut self.before, was) {
+            self.lost_before = self.lost_before.saturating_add(older.missing());
+        }
+        self.is_told = false;
+    }
+
+    /// Takes a frame.
+    pub fn take(&mut self, run: u64, number: u64) -> Place {
+        let is_now = self.now.as_ref().is_some_and(|now| now.run == run);
+        if !is_now {
+            if let Some(before) = self.before.as_mut().filter(|before| before.run == run) {
+                return match before.take(number) {
+                    Place::New => Place::Late,
+                    place => place,
+                };
+            }
+            // What a sensor says of itself is what it is now. Without, a clock may have been set back.
+            if self.is_told && self.now.as_ref().is_some_and(|now| run < now.run) {
+                return Place::Old;
+            }
+            self.begin(run);
+        }
+        let now = self.now.as_mut();
+        now.map_or(Place::Old, |now| now.take(number))
+    }
+
+    /// Takes what the sensor says: its run, and that all frames below a number exist.
+    pub fn told(&mut self, run: u64, next: u64) {
+        if self.now.as_ref().is_none_or(|now| now.run != run) {
+            self.begin(run);
+        }
+        self.is_told = true;
+        let Some(now) = &mut self.now else { return };
+        // Frames and statuses come on different ways: what the one before said has had time to come.
+        if let Some(earlier) = now.next.replace(next) {
+            let numbers = now.numbers.get_or_insert_with(|| Numbers::from(earlier));
+            numbers.until(earlier);
+        }
+    }
+
+    /// The present run; 0 without one.
+    #[must_use]
+    pub fn run(&self) -> u64 {
+        self.now.as_ref().map_or(0, |now| now.run)
+    }
+
+    /// Frames that have not come, of the present run and the one before.
+    #[must_use]
+    pub fn missing(&self) -> u64 {
+        let both = self.now.iter().chain(&self.before);
+        both.fold(0, |sum, run| sum.saturating_add(run.missing()))
+    }
+
+    /// Frames that never came, of all earlier runs.
+    #[must_use]
+    pub const fn missing_before(&self) -> u64 {
+        self.lost_before
+    }
+}

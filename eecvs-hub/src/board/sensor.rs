@@ -1,0 +1,260 @@
+//! What is known of one sensor.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use eecvs_nostd::{Header, Sensor as Size};
+
+use super::kept::Kept;
+use super::latency::Latencies;
+use super::picture;
+use super::rate::{Amount, Rate};
+use super::row::{Latest, Losses, Row};
+use super::runs::{Place, Runs};
+use crate::key::Name;
+use crate::message::{Stamp, Status};
+
+/// Frames are kept for so long after somebody wanted a picture.
+const WANTED: Duration = Duration::from_secs(10);
+
+/// From one decoding of a sensor's frames to the next.
+const BETWEEN: Duration = Duration::from_secs(1);
+
+/// Where no token was ever seen: heard so lately, a sensor counts as connected.
+const HEARD: Duration = Duration::from_secs(5);
+
+/// A moment: since the board began, and by this computer's clock.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Moment {
+    pub at: Duration,
+    pub unix_us: u64,
+}
+
+/// A frame that has come, as far as it was read.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Arrived<'f> {
+    pub stamp: Stamp,
+    /// None where it is damaged.
+    pub header: Option<&'f Header>,
+    pub bytes: &'f [u8],
+}
+
+/// A sensor, for many threads.
+#[derive(Debug, Default)]
+pub(super) struct Sensor {
+    state: Mutex<State>,
+    picture: Mutex<Decoded>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    is_alive: Option<bool>,
+    size: Option<Size>,
+    runs: Runs,
+    frame_at: Option<Duration>,
+    status_at: Option<Duration>,
+    status: Status,
+    rate: Rate,
+    latencies: Latencies,
+    latest: Option<Latest>,
+    windows: [u64; 3],
+    frames: u64,
+    events: u64,
+    bytes: u64,
+    damaged: u64,
+    repeated: u64,
+    malformed: u64,
+    wanted_at: Option<Duration>,
+    kept: Kept,
+    kept_run: u64,
+}
+
+/// The last picture.
+#[derive(Debug, Default)]
+struct Decoded {
+    png: Option<Vec<u8>>,
+    of: Option<u64>,
+    at: Option<Duration>,
+    is_busy: bool,
+}
+
+/// What a thread that panicked has left is as good as what it found: counts.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Sensor {
+    pub(super) fn frame(&self, now: Moment, arrived: Arrived<'_>) {
+        lock(&self.state).frame(now, arrived);
+    }
+
+    pub(super) fn status(&self, now: Moment, status: Status) {
+        let mut state = lock(&self.state);
+        state.runs.told(status.run, status.next);
+        state.size = Size::new(status.width, status.height).or(state.size);
+        state.status = status;
+        // Only figures of it are kept.
+        state.status.held = Vec::new();
+        state.status_at = Some(now.at);
+    }
+
+    pub(super) fn alive(&self, is_alive: bool) {
+        lock(&self.state).is_alive = Some(is_alive);
+    }
+
+    pub(super) fn malformed(&self) {
+        lock(&self.state).malformed += 1;
+    }
+
+    /// Somebody looks at its picture: frames are kept from here on.
+    pub(super) fn want(&self, now: Moment) {
+        lock(&self.state).wanted_at = Some(now.at);
+    }
+
+    /// What was kept for pictures that nobody looks at any more goes.
+    fn tidy(&self, now: Moment) {
+        if !lock(&self.state).tidy(now.at) {
+            let mut decoded = lock(&self.picture);
+            if !decoded.is_busy {
+                *decoded = Decoded::default();
+            }
+        }
+    }
+
+    pub(super) fn row(&self, name: &Name, now: Moment) -> Row {
+        self.tidy(now);
+        lock(&self.state).row(name, now)
+    }
+
+    /// The picture, decoded here where it is another one, and not too often.
+    pub(super) fn png(&self, now: Moment) -> Option<Vec<u8>> {
+        let (of, frames) = {
+            let mut state = lock(&self.state);
+            state.wanted_at = Some(now.at);
+            (state.kept.picture(), state.kept.frames())
+        };
+        {
+            let mut decoded = lock(&self.picture);
+            let is_recent = decoded
+                .at
+                .is_some_and(|at| now.at.saturating_sub(at) < BETWEEN);
+            if of.is_none() || decoded.of == of || is_recent || decoded.is_busy {
+                return decoded.png.clone();
+            }
+            decoded.is_busy = true;
+        }
+        let png = picture::latest(&frames).and_then(|sums| picture::png(&sums));
+        let mut decoded = lock(&self.picture);
+        decoded.is_busy = false;
+        decoded.of = of;
+        decoded.at = Some(now.at);
+        if png.is_some() {
+            decoded.png = png;
+        }
+        decoded.png.clone()
+    }
+}
+
+impl State {
+    fn frame(&mut self, now: Moment, arrived: Arrived<'_>) {
+        let Stamp {
+            run,
+            number,
+            end_us,
+        } = arrived.stamp;
+        self.frame_at = Some(now.at);
+        let place = self.runs.take(run, number);
+        if place == Place::Again {
+            self.repeated += 1;
+            return;
+        }
+        let Some(header) = arrived.header else {
+            self.damaged += 1;
+            return;
+        };
+        let bytes = arrived.bytes.len() as u64;
+        let begins = u64::from(header.part == 0);
+        self.frames += 1;
+        self.events += u64::from(header.events);
+        self.bytes += bytes;
+        self.windows[header.regime as usize] += begins;
+        let amount = Amount {
+            events: u64::from(header.events),
+            bytes,
+            windows: begins,
+            thinned: u64::from(header.thinned),
+        };
+        self.rate.add(now.at, amount);
+        if place != Place::New {
+            return;
+        }
+        // Microseconds since 1970 fit; what a stamp claims beyond does not overflow.
+        let signed = |us: u64| i64::try_from(us).unwrap_or(i64::MAX);
+        let latency_us = signed(now.unix_us).saturating_sub(signed(end_us));
+        self.latencies.add(now.at, latency_us);
+        self.size = Some(header.sensor);
+        self.latest = Some(Latest::of(header));
+        if run != self.kept_run {
+            self.kept_run = run;
+            self.kept.clear();
+        }
+        if self.tidy(now.at) {
+            self.kept.take(number, header, arrived.bytes);
+        }
+    }
+
+    /// Whether somebody looks at the picture; if not, nothing is kept for it.
+    fn tidy(&mut self, at: Duration) -> bool {
+        let is_wanted = self
+            .wanted_at
+            .is_some_and(|wanted| at.saturating_sub(wanted) < WANTED);
+        if !is_wanted && self.kept.bytes() > 0 {
+            self.kept.clear();
+        }
+        is_wanted
+    }
+
+    fn row(&mut self, name: &Name, now: Moment) -> Row {
+        let age = |at: Option<Duration>| Some(now.at.saturating_sub(at?).as_secs_f64());
+        let heard = self.frame_at.max(self.status_at);
+        let is_heard = heard.is_some_and(|at| now.at.saturating_sub(at) < HEARD);
+        let status = &self.status;
+        let (events, stored) = (status.events, status.stored);
+        Row {
+            name: name.clone(),
+            is_connected: self.is_alive.unwrap_or(is_heard),
+            columns: self.size.map_or(0, |size| size.width),
+            rows: self.size.map_or(0, |size| size.height),
+            run: self.runs.run(),
+            frame_age_s: age(self.frame_at),
+            status_age_s: age(self.status_at),
+            rate: self.rate.over(now.at),
+            frames_received: self.frames,
+            events_received: self.events,
+            bytes_received: self.bytes,
+            windows: self.windows,
+            window: self.latest,
+            losses: Losses {
+                events_late: events.late,
+                events_filtered: events.filtered,
+                events_dropped: events.dropped,
+                events_thinned: events.thinned,
+                frames_missing: self.runs.missing(),
+                frames_missing_before: self.runs.missing_before(),
+                frames_damaged: self.damaged,
+                frames_repeated: self.repeated,
+                frames_let_go: stored.let_go_frames,
+                disk_failures: stored.disk_failures,
+                malformed: self.malformed,
+                outages: status.outages,
+                outages_s: status.outages_us as f64 / 1e6,
+            },
+            latency: self.latencies.over(now.at),
+            budget: status.budget,
+            is_congested: status.is_congested,
+            store_memory_bytes: stored.memory_bytes,
+            store_disk_bytes: stored.disk_bytes,
+            picture: self.kept.picture(),
+        }
+    }
+}

@@ -1,0 +1,164 @@
+//! `eecvs-hub hub`: routes, watches, and shows what it sees.
+
+use std::net::TcpListener;
+use std::path::PathBuf;
+use std::thread;
+use std::time::Duration;
+
+use anyhow::{Context as _, Result, ensure};
+use clap::Args;
+use usb_bridge::stop::Stop;
+
+use crate::access::{Access, FILE};
+use crate::hub;
+use crate::key::names;
+use crate::link::{HUB, Links};
+
+/// Route between sensors and receivers, and show each sensor's rate, losses, delay and picture on a page
+#[derive(Debug, Clone, Args)]
+pub struct Hub {
+    /// What it is called, on its page
+    #[arg(long, value_name = "NAME", default_value = "hub")]
+    name: String,
+
+    /// Where sensors, receivers and other hubs find it: tls/ADDRESS:PORT with --keys; without, tcp/127.0.0.1:PORT, or
+    /// with --anyone another address [default: tcp/127.0.0.1:7447, with --keys tls/[::]:7447]
+    #[arg(long, value_name = "ENDPOINT")]
+    listen: Vec<String>,
+
+    /// Other hubs to connect to
+    #[arg(long, value_name = "ENDPOINT")]
+    connect: Vec<String>,
+
+    /// The folder that eecvs-hub keys has made for this hub: links are encrypted, and all show who they are
+    #[arg(long, value_name = "FOLDER")]
+    keys: Option<PathBuf>,
+
+    /// The folder of access.toml, who may what [default: the one above that of --keys]
+    #[arg(long, value_name = "FOLDER", requires = "keys")]
+    access: Option<PathBuf>,
+
+    /// Without --keys: listen at any address, and let anyone in
+    #[arg(long, conflicts_with = "keys")]
+    anyone: bool,
+
+    /// Where its page is; whoever reaches that address sees it
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8447")]
+    page: String,
+
+    /// No page
+    #[arg(long, conflicts_with = "page")]
+    no_page: bool,
+
+    /// Sensors on its page: names, or all of a hall by hall-1/**
+    #[arg(long, value_name = "NAMES", default_value = "**", value_parser = |text: &str| names(text))]
+    watch: String,
+
+    /// Route alone: no sensor is watched, and none is told what it may
+    #[arg(long)]
+    no_watch: bool,
+
+    /// What sensors of these names may send, bytes a second each; the first that matches counts
+    #[arg(long, value_name = "NAMES=B", value_parser = budget)]
+    budget: Vec<(String, u32)>,
+
+    /// What all sensors that are watched may send together, bytes a second: shared evenly among those that want it
+    #[arg(long, value_name = "B", value_parser = clap::value_parser!(u32).range(1..))]
+    total_budget: Option<u32>,
+}
+
+fn budget(text: &str) -> Result<(String, u32), String> {
+    let (of, bytes) = text
+        .split_once('=')
+        .ok_or("not NAMES=B, such as hall-1/**=1000000")?;
+    let bytes: u32 = bytes
+        .parse()
+        .map_err(|_| format!("{bytes:?}: not bytes a second"))?;
+    if bytes == 0 {
+        return Err("a budget of 0: take the sensor out of access.toml".to_owned());
+    }
+    let names = names(of).map_err(|error| error.to_string())?;
+    Ok((names, bytes))
+}
+
+/// How often it looks who is connected.
+const LOOK: Duration = Duration::from_millis(200);
+
+impl Hub {
+    /// Routes until it is to stop.
+    ///
+    /// # Errors
+    /// Keys, or an address that cannot be listened at.
+    pub fn run(self, stop: &Stop) -> Result<()> {
+        let listen = match (self.listen.is_empty(), &self.keys) {
+            (false, _) => self.listen.clone(),
+            (true, None) => vec![HUB.to_owned()],
+            (true, Some(_)) => vec!["tls/[::]:7447".to_owned()],
+        };
+        if self.keys.is_none() && !self.anyone {
+            for endpoint in &listen {
+                let is_own = ["tcp/127.", "tcp/localhost:", "tcp/[::1]:"];
+                ensure!(
+                    is_own.iter().any(|own| endpoint.starts_with(own)),
+                    "{endpoint}: without --keys anyone may speak and listen there: give --keys, or --anyone"
+                );
+            }
+        }
+        let access = match &self.keys {
+            None => None,
+            Some(keys) => Some(self.access(keys)?),
+        };
+        let page =
+            match self.no_page {
+                true => None,
+                false => {
+                    let bound = TcpListener::bind(&self.page);
+                    Some(bound.with_context(|| {
+                        format!("--page {}: give another, or --no-page", self.page)
+                    })?)
+                }
+            };
+        let address = page.as_ref().and_then(|page| page.local_addr().ok());
+        let links = Links {
+            connect: self.connect.clone(),
+            listen: listen.clone(),
+            keys: self.keys.clone(),
+        };
+        let options = hub::Options {
+            name: self.name.clone(),
+            watch: (!self.no_watch).then(|| self.watch.clone()),
+            budgets: self.budget.clone(),
+            total: self.total_budget,
+            access,
+        };
+        let hub = hub::Hub::start(options, &links, page)?;
+        eprintln!("eecvs-hub: {} listens at {}", self.name, listen.join(", "));
+        if let Some(address) = address {
+            eprintln!("eecvs-hub: its page is http://{address}/");
+        }
+        let mut told = 0;
+        while !stop.is_asked() && !hub.has_ended() {
+            let routers = hub.routers();
+            if routers != told {
+                eprintln!("eecvs-hub: {routers} other hubs are connected");
+                told = routers;
+            }
+            thread::sleep(LOOK);
+        }
+        hub.finish()
+    }
+
+    fn access(&self, keys: &std::path::Path) -> Result<Access> {
+        let folder = match &self.access {
+            Some(folder) => folder.clone(),
+            None => keys.join(".."),
+        };
+        let path = folder.join(FILE);
+        ensure!(
+            path.is_file(),
+            "{} is not there: eecvs-hub keys writes it; give its folder by --access",
+            path.display()
+        );
+        Access::read(&folder)
+    }
+}

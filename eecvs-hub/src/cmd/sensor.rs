@@ -1,0 +1,285 @@
+//! `eecvs-hub sensor`: events to a hub.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use clap::Args;
+use eecvs_nostd::Sensor as Size;
+use host_harness::cmd::encode::CodecOptions;
+use host_harness::cmd::options::SizeOptions;
+use host_harness::cmd::output::{print, print_json, rows};
+use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
+use host_harness::formats::{self, EventReader};
+use host_harness::scene::{Preset, SceneConfig, emulate};
+use serde::Serialize;
+use usb_bridge::cmd::options::{PlaceOptions, warn_of_losses};
+use usb_bridge::device::mcu;
+use usb_bridge::peripheral::stream::Pace;
+use usb_bridge::record::encoders_frames;
+use usb_bridge::session::{self, Session};
+use usb_bridge::stop::Stop;
+
+use super::options::ClientOptions;
+use crate::frames::FrameSink;
+use crate::key::Name;
+use crate::message::now_us;
+use crate::source::Live;
+use crate::uplink::{Options, Summary, Uplink};
+
+/// Encode what a camera, a recording or a scene gives, and send it to a hub; while there is no link, frames are kept
+#[derive(Debug, Clone, Args)]
+pub struct Sensor {
+    /// What the sensor is called: door, or hall-1/door
+    name: Name,
+
+    #[command(flatten)]
+    client: ClientOptions,
+
+    #[command(flatten)]
+    device: PlaceOptions,
+
+    /// A recording in place of a device
+    #[arg(long, value_name = "FILE", conflicts_with = "device")]
+    recording: Option<PathBuf>,
+
+    /// A scene in place of a device, as `eecvs emulate --list` shows them [default: indoor-flying, without a device and a
+    /// recording]
+    #[arg(long, value_enum, conflicts_with_all = ["device", "recording"])]
+    scene: Option<Preset>,
+
+    /// The same seed gives the same scene on every machine
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
+    /// Duration of the scene in microseconds [default: 1000000]
+    #[arg(long, value_name = "D")]
+    duration_us: Option<u64>,
+
+    #[command(flatten)]
+    size: SizeOptions,
+
+    /// Pace of a recording or a scene: real (as recorded), max (as fast as possible), N events per second, or Fx (F times
+    /// as fast as recorded)
+    #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
+    rate: Pace,
+
+    /// Begin anew at the end, with times that go on
+    #[arg(long)]
+    repeat: bool,
+
+    /// End after so many seconds
+    #[arg(long, value_name = "S")]
+    seconds: Option<u32>,
+
+    /// Bytes of the newest frames that are kept in memory, in MiB
+    #[arg(long, value_name = "MIB", default_value_t = 64,
+          value_parser = clap::value_parser!(u16).range(1..=16_384))]
+    memory_mib: u16,
+
+    /// A folder for what leaves the memory while there is no link, or just before
+    #[arg(long, value_name = "FOLDER")]
+    store: Option<PathBuf>,
+
+    /// Bytes of it, in MiB; beyond, the oldest goes, and is counted
+    #[arg(long, value_name = "MIB", default_value_t = 1024, requires = "store",
+          value_parser = clap::value_parser!(u32).range(1..))]
+    store_mib: u32,
+
+    /// Bytes of a frame, at the most: a window that needs more takes several
+    #[arg(long, value_name = "BYTES", default_value_t = 98_000,
+          value_parser = clap::value_parser!(u32)
+              .range(eecvs_nostd::OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
+    frame_bytes: u32,
+
+    /// At the end, wait so many seconds at the most for those who ask for frames again, or for a link
+    #[arg(long, value_name = "S", default_value_t = 10)]
+    linger_s: u32,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+
+    #[command(flatten)]
+    codec: CodecOptions,
+}
+
+/// What was sent; the fields are the JSON keys.
+#[derive(Debug, Serialize)]
+struct Sent {
+    name: String,
+    #[serde(flatten)]
+    encoding: EncodeSummary,
+    frames_unsent: u64,
+    frames_again: u64,
+    frames_let_go: u64,
+    frames_on_disk: u64,
+    disk_failures: u64,
+    outages: u64,
+    outages_s: f64,
+}
+
+impl Sensor {
+    /// Sends until the end, or until it is to stop.
+    ///
+    /// # Errors
+    /// A source that cannot be read, keys, a folder, or what the encoder is asked for.
+    pub fn run(self, stop: &Stop) -> Result<()> {
+        let (encoding, summary) = match (self.device.name(), &self.recording, self.scene) {
+            (Some(_), ..) => self.device(stop)?,
+            (None, Some(path), _) => self.file(formats::open(path, self.size.sensor())?, stop)?,
+            (None, None, scene) => {
+                let mut config = SceneConfig::new(scene.unwrap_or(Preset::IndoorFlying), self.seed);
+                config.sensor = self.size.sensor().unwrap_or(config.sensor);
+                config.duration_us = self.duration_us.unwrap_or(config.duration_us);
+                self.file(Box::new(emulate(config)?), stop)?
+            }
+        };
+        let status = &summary.status;
+        let sent = Sent {
+            name: self.name.to_string(),
+            frames_unsent: summary.unsent,
+            frames_again: status.again,
+            frames_let_go: status.stored.let_go_frames,
+            frames_on_disk: status.stored.disk_frames,
+            disk_failures: status.stored.disk_failures,
+            outages: status.outages,
+            outages_s: status.outages_us as f64 * 1e-6,
+            encoding,
+        };
+        if self.json {
+            return print_json(&sent);
+        }
+        print(&sent.table())
+    }
+
+    fn uplink(&self, sensor: Size) -> Result<Uplink> {
+        let options = Options {
+            name: self.name.clone(),
+            sensor,
+            memory_bytes: usize::from(self.memory_mib) << 20,
+            disk: self
+                .store
+                .clone()
+                .map(|folder| (folder, u64::from(self.store_mib) << 20)),
+            bytes_per_second: self.codec.config(sensor)?.bytes_per_second.map(u32::from),
+        };
+        Uplink::start(&options, &self.client.links())
+    }
+
+    fn finish(&self, uplink: Uplink) -> Summary {
+        uplink.finish(Duration::from_secs(self.linger_s.into()))
+    }
+
+    fn file(&self, reader: Box<dyn EventReader>, stop: &Stop) -> Result<(EncodeSummary, Summary)> {
+        let stop = self.timed(stop);
+        let live = Live::new(reader, self.rate, self.repeat, stop)?;
+        let clock = live.clock();
+        let uplink = self.uplink(live.sensor())?;
+        let encoding = self.encode(Box::new(live), &uplink, &|t_us| clock.at(t_us));
+        let summary = self.finish(uplink);
+        Ok((encoding?, summary))
+    }
+
+    /// The wish to stop, and the same after the time that was asked for.
+    fn timed(&self, stop: &Stop) -> Stop {
+        if let Some(seconds) = self.seconds {
+            let (stop, until) = (
+                stop.clone(),
+                Instant::now() + Duration::from_secs(seconds.into()),
+            );
+            std::thread::spawn(move || {
+                while !stop.is_asked() && Instant::now() < until {
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+                stop.ask();
+            });
+        }
+        stop.clone()
+    }
+
+    fn device(&self, stop: &Stop) -> Result<(EncodeSummary, Summary)> {
+        let stop = self.timed(stop);
+        let source = self.device.open(self.device.name(), self.rate, &stop)?;
+        let sends_frames = source.model.name() == mcu::NAME;
+        let session = Session::start(source, QUEUE_BYTES, &stop, session::Limits::default())?;
+        let reader = session.reader();
+        let uplink = self.uplink(reader.sensor())?;
+        let encoding = match sends_frames {
+            true => {
+                drop(reader);
+                let mut out = FrameSink::new(&uplink, &|_| now_us());
+                let ended = encoders_frames(&session, &mut out);
+                out.finish(ended).map(|()| EncodeSummary::default())
+            }
+            // When a camera's events were due, nobody knows.
+            false => self.encode(Box::new(reader), &uplink, &|_| now_us()),
+        };
+        let (report, unstopped) = session.finish();
+        warn_of_losses(&report);
+        let summary = self.finish(uplink);
+        unstopped.map_or(Ok((encoding?, summary)), Err)
+    }
+
+    fn encode(
+        &self,
+        reader: Box<dyn EventReader>,
+        uplink: &Uplink,
+        end_us: &dyn Fn(u64) -> u64,
+    ) -> Result<EncodeSummary> {
+        let config = self.codec.config(reader.sensor())?;
+        let (mut reader, config) = self.codec.look(reader, config);
+        let hot = self.codec.hot_pixels(reader.sensor())?;
+        let budget = uplink.budget();
+        let codec = Codec {
+            hot: &hot,
+            budget: Some(&budget),
+            ..Codec::from(config)
+        };
+        let limits = Limits {
+            frame_bytes: self.frame_bytes as usize,
+            ..Limits::default()
+        };
+        let mut out = FrameSink::new(uplink, end_us);
+        let encoded = encode(
+            reader.as_mut(),
+            codec,
+            limits,
+            NonZeroUsize::MIN,
+            &mut out,
+            &mut |_| {},
+        );
+        out.finish(encoded)
+    }
+}
+
+/// Bytes that wait between a device and the encoder.
+const QUEUE_BYTES: usize = 64 << 20;
+
+impl Sent {
+    fn table(&self) -> String {
+        let encoding = &self.encoding;
+        rows([
+            ("sensor", self.name.clone()),
+            ("events", encoding.events_in.to_string()),
+            ("  encoded", encoding.events_encoded.to_string()),
+            ("  late", encoding.events_late.to_string()),
+            ("  filtered", encoding.events_filtered.to_string()),
+            ("  dropped", encoding.events_dropped.to_string()),
+            ("  thinned", encoding.events_thinned.to_string()),
+            ("frames", encoding.frames.to_string()),
+            ("  sent again", self.frames_again.to_string()),
+            ("  not sent", self.frames_unsent.to_string()),
+            ("  let go of", self.frames_let_go.to_string()),
+            ("  on disk", self.frames_on_disk.to_string()),
+            ("  not written to disk", self.disk_failures.to_string()),
+            ("bytes", encoding.bytes_out.to_string()),
+            ("bits per event", format!("{:.2}", encoding.bits_per_event)),
+            (
+                "without a link",
+                format!("{} times, {:.1} s", self.outages, self.outages_s),
+            ),
+        ])
+    }
+}

@@ -1,0 +1,44 @@
+//! The `eecvs-hub` command: what it is told, and what does it.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use host_harness::cmd::output::end;
+use usb_bridge::stop::Stop;
+
+use crate::cmd::{hub, keys, receive, sensor, simulate};
+
+/// Many sensors to many machines, over Zenoh: sensors send frames to hubs, receivers take them from these
+#[derive(Debug, Parser)]
+#[command(name = "eecvs-hub", version, arg_required_else_help = true)]
+struct EecvsHub {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Hub(hub::Hub),
+    Sensor(Box<sensor::Sensor>),
+    Receive(receive::Receive),
+    Keys(keys::Keys),
+    Simulate(simulate::Simulate),
+}
+
+/// The command.
+#[must_use]
+pub fn run() -> ExitCode {
+    let line = EecvsHub::parse();
+    let stop = match Stop::on_signals() {
+        Ok(stop) => stop,
+        Err(error) => return end("eecvs-hub", Err(error)),
+    };
+    let result = match line.command {
+        Command::Hub(hub) => hub.run(&stop),
+        Command::Sensor(sensor) => sensor.run(&stop),
+        Command::Receive(receive) => receive.run(&stop),
+        Command::Keys(keys) => keys.run(),
+        Command::Simulate(simulate) => simulate.run(&stop),
+    };
+    end("eecvs-hub", result)
+}

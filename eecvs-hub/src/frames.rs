@@ -1,0 +1,58 @@
+//! What an encoder writes, a frame at a time, to a sensor's link.
+
+use std::io::{self, Write};
+
+use anyhow::Result;
+use eecvs_nostd::Frame;
+
+use crate::uplink::Uplink;
+
+/// Takes frames of docs/wire-format.md, one in each write, and gives them to an [`Uplink`].
+pub struct FrameSink<'u> {
+    uplink: &'u Uplink,
+    /// When a time of the sensor's was due.
+    end_us: &'u dyn Fn(u64) -> u64,
+    failed: Option<anyhow::Error>,
+}
+
+impl<'u> FrameSink<'u> {
+    /// `end_us` tells when a time of the sensor's was due, in microseconds since 1970.
+    pub fn new(uplink: &'u Uplink, end_us: &'u dyn Fn(u64) -> u64) -> Self {
+        Self {
+            uplink,
+            end_us,
+            failed: None,
+        }
+    }
+
+    /// How the writing went: what the link has said is the cause.
+    ///
+    /// # Errors
+    /// What the link has said, or `written`'s error.
+    pub fn finish<T>(self, written: Result<T>) -> Result<T> {
+        self.failed.map_or(written, Err)
+    }
+}
+
+impl Write for FrameSink<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let sent = Frame::parse(bytes)
+            .map_err(|error| anyhow::anyhow!("a frame made here: {error}"))
+            .and_then(|frame| {
+                let header = frame.header;
+                let end_us = header.t0_us.saturating_add(header.duration_us.into());
+                self.uplink.send(bytes, (self.end_us)(end_us))
+            });
+        match sent {
+            Ok(()) => Ok(bytes.len()),
+            Err(error) => {
+                self.failed = Some(error);
+                Err(io::Error::other("not sent"))
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

@@ -1,0 +1,429 @@
+//! A hub: a router, what it knows of its sensors, and what it allows them.
+
+use std::collections::HashMap;
+use std::net::TcpListener;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result};
+use usb_bridge::stop::Stop;
+use zenoh::key_expr::KeyExpr;
+use zenoh::pubsub::Subscriber;
+use zenoh::sample::SampleKind;
+use zenoh::{Session, Wait};
+
+use crate::access::{Access, RECEIVERS};
+use crate::board::{Board, HubFigures, page};
+use crate::key::{Kind, Name, name_of};
+use crate::link::{Links, Router, said};
+use crate::message::{Budget, Message, Stamp, Status};
+
+/// What a hub is told.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// What it is called.
+    pub name: String,
+    /// Sensors that it watches, a pattern of names; none: it routes alone.
+    pub watch: Option<String>,
+    /// What sensors may send, bytes a second, by patterns of names: the first that matches counts.
+    pub budgets: Vec<(String, u32)>,
+    /// What all sensors together may send, bytes a second: each gets as much as the others, but what others leave.
+    pub total: Option<u32>,
+    /// Who may what; of a hub without keys nobody is asked.
+    pub access: Option<Access>,
+}
+
+/// How often sensors are told what they may.
+const TELL: Duration = Duration::from_secs(1);
+
+/// Longest sleep between two looks at whether to stop.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// A hub, until it is dropped.
+pub struct Hub {
+    shared: Arc<Shared>,
+    stop: Stop,
+    threads: Vec<JoinHandle<Result<()>>>,
+    watching: Vec<Subscriber<()>>,
+    /// Last: others use its session.
+    router: Arc<Router>,
+}
+
+struct Shared {
+    options: Options,
+    board: Arc<Board>,
+    sensors: Mutex<HashMap<Name, Demand>>,
+    receivers: Mutex<std::collections::HashSet<String>>,
+}
+
+/// What a sensor made lately.
+#[derive(Debug, Clone, Copy)]
+struct Demand {
+    bytes: u64,
+    at: Instant,
+    bytes_per_s: f64,
+    /// What it was told to keep to.
+    told: Option<u32>,
+}
+
+impl Hub {
+    /// Listens, connects, watches; with `page`, serves it there.
+    ///
+    /// # Errors
+    /// Settings, keys, or an endpoint that cannot be listened at.
+    pub fn start(options: Options, links: &Links, page: Option<TcpListener>) -> Result<Self> {
+        let router = Arc::new(Router::start(links, options.access.as_ref())?);
+        let shared = Arc::new(Shared {
+            board: Arc::new(Board::new(&options.name)),
+            options,
+            sensors: Mutex::default(),
+            receivers: Mutex::default(),
+        });
+        let watching = watch(&shared, router.session())?;
+        let stop = Stop::default();
+        let mut threads = Vec::new();
+        let (own, own_router, own_stop) = (Arc::clone(&shared), Arc::clone(&router), stop.clone());
+        threads.push(spawn("hub", move || {
+            own.allow(&own_router, &own_stop);
+            Ok(())
+        })?);
+        if let Some(listener) = page {
+            let (board, stop) = (Arc::clone(&shared.board), stop.clone());
+            threads.push(spawn("page", move || page::serve(board, listener, stop))?);
+        }
+        Ok(Self {
+            shared,
+            stop,
+            threads,
+            watching,
+            router,
+        })
+    }
+
+    /// What it knows.
+    #[must_use]
+    pub fn board(&self) -> &Arc<Board> {
+        &self.shared.board
+    }
+
+    /// Other hubs that are connected.
+    #[must_use]
+    pub fn routers(&self) -> usize {
+        self.router.routers()
+    }
+
+    /// Whether something of it has ended: its page failed.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.threads.iter().any(JoinHandle::is_finished)
+    }
+
+    /// Ends.
+    ///
+    /// # Errors
+    /// Why its page has ended before.
+    pub fn finish(mut self) -> Result<()> {
+        self.end()
+    }
+
+    fn end(&mut self) -> Result<()> {
+        self.stop.ask();
+        let mut result = Ok(());
+        for thread in self.threads.drain(..) {
+            let ended = thread.join();
+            let ended =
+                ended.unwrap_or_else(|_| anyhow::bail!("a thread panicked: please report this"));
+            result = result.and(ended);
+        }
+        self.watching.clear();
+        let _ = self.router.session().close().wait();
+        result
+    }
+}
+
+impl Drop for Hub {
+    fn drop(&mut self) {
+        // Whoever wants to know calls finish.
+        let _ = self.end();
+    }
+}
+
+fn spawn(
+    name: &str,
+    run: impl FnOnce() -> Result<()> + Send + 'static,
+) -> Result<JoinHandle<Result<()>>> {
+    let builder = thread::Builder::new().name(name.to_owned());
+    builder.spawn(run).context("a thread of the hub")
+}
+
+/// Gives the board what comes.
+fn watch(shared: &Arc<Shared>, session: &Session) -> Result<Vec<Subscriber<()>>> {
+    let Some(names) = &shared.options.watch else {
+        return Ok(Vec::new());
+    };
+    let mut watching = Vec::new();
+    let key = Kind::Frames.of_all(names);
+    let board = Arc::clone(&shared.board);
+    let declared = session
+        .declare_subscriber(key.clone())
+        .callback(move |sample| {
+            let Some(name) = name_of(sample.key_expr().as_str(), Kind::Frames) else {
+                return board.malformed(None);
+            };
+            let stamp = sample.attachment().map(zenoh::bytes::ZBytes::to_bytes);
+            match stamp.and_then(|stamp| Stamp::from_bytes(&stamp)) {
+                Some(stamp) => board.frame(&name, stamp, &sample.payload().to_bytes()),
+                None => board.malformed(Some(&name)),
+            }
+        })
+        .wait();
+    watching.push(declared.map_err(said(key))?);
+    let key = Kind::Status.of_all(names);
+    let own = Arc::clone(shared);
+    let declared = session
+        .declare_subscriber(key.clone())
+        .callback(move |sample| {
+            let Some(name) = name_of(sample.key_expr().as_str(), Kind::Status) else {
+                return own.board.malformed(None);
+            };
+            match Status::from_bytes(&sample.payload().to_bytes()) {
+                Some(status) => own.status(&name, status),
+                None => own.board.malformed(Some(&name)),
+            }
+        })
+        .wait();
+    watching.push(declared.map_err(said(key))?);
+    let key = Kind::Alive.of_all(names);
+    let board = Arc::clone(&shared.board);
+    let declared = session
+        .liveliness()
+        .declare_subscriber(key.clone())
+        .history(true)
+        .callback(move |sample| {
+            if let Some(name) = name_of(sample.key_expr().as_str(), Kind::Alive) {
+                board.alive(&name, sample.kind() == SampleKind::Put);
+            }
+        })
+        .wait();
+    watching.push(declared.map_err(said(key))?);
+    let key = format!("{RECEIVERS}/**");
+    let own = Arc::clone(shared);
+    let declared = session
+        .liveliness()
+        .declare_subscriber(key.clone())
+        .history(true)
+        .callback(move |sample| {
+            let mut receivers = own.receivers.lock().unwrap_or_else(PoisonError::into_inner);
+            let token = sample.key_expr().as_str().to_owned();
+            if sample.kind() != SampleKind::Put {
+                receivers.remove(&token);
+            } else if receivers.len() < RECEIVERS_MAX {
+                receivers.insert(token);
+            }
+        })
+        .wait();
+    watching.push(declared.map_err(said(key))?);
+    Ok(watching)
+}
+
+/// Receivers that are counted.
+const RECEIVERS_MAX: usize = 10_000;
+
+/// Sensors that are told what they may.
+const SENSORS_MAX: usize = 10_000;
+
+impl Shared {
+    fn status(&self, name: &Name, status: Status) {
+        let now = Instant::now();
+        let mut sensors = self.sensors.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_known = sensors.contains_key(name);
+        if is_known || sensors.len() < SENSORS_MAX {
+            let demand = sensors.entry(name.clone()).or_insert(Demand {
+                bytes: status.bytes,
+                at: now,
+                bytes_per_s: 0.0,
+                told: None,
+            });
+            let since_s = now.saturating_duration_since(demand.at).as_secs_f64();
+            if since_s >= 0.25 {
+                let made = status.bytes.saturating_sub(demand.bytes) as f64 / since_s;
+                (demand.bytes, demand.at, demand.bytes_per_s) = (status.bytes, now, made);
+            }
+        }
+        drop(sensors);
+        self.board.status(name, status);
+    }
+
+    /// Tells sensors what they may, and the board who is connected.
+    fn allow(&self, router: &Router, stop: &Stop) {
+        let mut told: Option<Instant> = None;
+        while !stop.is_asked() {
+            if told.is_some_and(|told| told.elapsed() < TELL) {
+                thread::sleep(LOOK);
+                continue;
+            }
+            told = Some(Instant::now());
+            let receivers = self
+                .receivers
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .len();
+            self.board.hub(HubFigures {
+                routers: router.routers(),
+                peers: receivers,
+            });
+            if self.options.budgets.is_empty() && self.options.total.is_none() {
+                continue;
+            }
+            let mut sensors = self.sensors.lock().unwrap_or_else(PoisonError::into_inner);
+            sensors.retain(|_, demand| demand.at.elapsed() < 10 * TELL);
+            let own: Vec<Option<u32>> = sensors.keys().map(|name| self.own(name)).collect();
+            let demands: Vec<Wanted> = sensors
+                .values()
+                .zip(own)
+                .map(|(demand, own)| Wanted::of(demand, own))
+                .collect();
+            let shares = match self.options.total {
+                Some(total) => shares(total, &demands),
+                None => demands.iter().map(|wanted| wanted.most).collect(),
+            };
+            let mut budgets = Vec::new();
+            for ((name, demand), share) in sensors.iter_mut().zip(shares) {
+                demand.told = share;
+                budgets.push((name.key(Kind::Budget), share));
+            }
+            drop(sensors);
+            for (key, bytes_per_second) in budgets {
+                let budget = Budget { bytes_per_second };
+                // One that gets lost is followed by another.
+                let _ = router.session().put(key, budget.to_bytes()).wait();
+            }
+        }
+    }
+
+    /// What a sensor may by its name.
+    fn own(&self, name: &Name) -> Option<u32> {
+        let name = KeyExpr::new(name.as_str()).ok()?;
+        let of_names = |(names, _): &&(String, u32)| {
+            KeyExpr::new(names.as_str()).is_ok_and(|names| names.includes(&name))
+        };
+        self.options
+            .budgets
+            .iter()
+            .find(of_names)
+            .map(|(_, budget)| *budget)
+    }
+}
+
+/// What a sensor could use.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Wanted {
+    bytes_per_s: f64,
+    most: Option<u32>,
+}
+
+impl Wanted {
+    /// One that is held to less than it would make wants more than it makes.
+    fn of(demand: &Demand, most: Option<u32>) -> Self {
+        let is_held = demand
+            .told
+            .is_some_and(|told| demand.bytes_per_s > f64::from(told) * 0.75);
+        let more = if is_held {
+            f64::INFINITY
+        } else {
+            demand.bytes_per_s * 1.5 + 16_384.0
+        };
+        Self {
+            bytes_per_s: more.min(most.map_or(f64::INFINITY, f64::from)),
+            most,
+        }
+    }
+}
+
+/// Shares of a total: nobody gets less than the others as long as it wants more; what nobody wants now is shared as
+/// well, for whoever wants more the next moment.
+fn shares(total: u32, wanted: &[Wanted]) -> Vec<Option<u32>> {
+    let total = f64::from(total);
+    let now: Vec<f64> = wanted.iter().map(|wanted| wanted.bytes_per_s).collect();
+    let first = filled(total, &now);
+    let most = |wanted: &Wanted| wanted.most.map_or(f64::INFINITY, f64::from);
+    let room: Vec<f64> = first
+        .iter()
+        .zip(wanted)
+        .map(|(share, wanted)| most(wanted) - share)
+        .collect();
+    let second = filled(total - first.iter().sum::<f64>(), &room);
+    let both = first.iter().zip(second);
+    both.map(|(first, second)| Some(((first + second) as u32).max(1)))
+        .collect()
+}
+
+/// A total poured into vessels of some sizes, as high in each as in the others.
+fn filled(total: f64, sizes: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..sizes.len()).collect();
+    order.sort_by(|&a, &b| sizes[a].total_cmp(&sizes[b]));
+    let mut filled = vec![0.0; sizes.len()];
+    let mut left = total.max(0.0);
+    for (place, &at) in order.iter().enumerate() {
+        let even = left / (sizes.len() - place) as f64;
+        filled[at] = sizes[at].min(even);
+        left -= filled[at];
+    }
+    filled
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn wanted(bytes_per_s: f64) -> Wanted {
+        Wanted {
+            bytes_per_s,
+            most: None,
+        }
+    }
+
+    #[test]
+    fn a_total_is_shared_evenly_among_those_that_want_it() {
+        let all = |shares: Vec<Option<u32>>| -> Vec<u32> { shares.into_iter().flatten().collect() };
+        let flood = wanted(f64::INFINITY);
+        assert_eq!(all(shares(1000, &[flood, flood])), [500, 500]);
+        assert_eq!(
+            all(shares(1000, &[flood, wanted(100.0), flood])),
+            [450, 100, 450]
+        );
+        assert_eq!(
+            all(shares(1000, &[wanted(100.0), wanted(300.0)])),
+            [400, 600]
+        );
+        let bounded = Wanted {
+            bytes_per_s: 200.0,
+            most: Some(200),
+        };
+        assert_eq!(all(shares(1000, &[bounded, flood])), [200, 800]);
+        assert!(shares(1000, &[]).is_empty());
+    }
+
+    proptest! {
+        #[test]
+        fn no_total_is_exceeded(
+            total in 1000_u32..100_000_000,
+            wants in prop::collection::vec((0.0_f64..1e8, prop::option::of(1_u32..100_000_000)), 1..200),
+        ) {
+            let wants: Vec<Wanted> = wants
+                .into_iter()
+                .map(|(bytes, most)| Wanted { bytes_per_s: bytes.min(most.map_or(f64::INFINITY, f64::from)), most })
+                .collect();
+            let shares = shares(total, &wants);
+            let sum: u64 = shares.iter().map(|share| u64::from(share.unwrap())).sum();
+            // But for a byte each.
+            prop_assert!(sum <= u64::from(total) + wants.len() as u64, "{} {}", sum, total);
+            for (share, wanted) in shares.iter().zip(&wants) {
+                prop_assert!(wanted.most.is_none_or(|most| share.unwrap() <= most));
+            }
+        }
+    }
+}

@@ -1,0 +1,25 @@
+//! Many sensors to many machines.
+//!
+//! A sensor's [`uplink`] numbers its frames, publishes them, and keeps them for a while; a receiver's [`downlink`] asks
+//! for those that have not come. Between them are hubs: routers of Zenoh with a [`board`] of what is known of the sensors.
+
+pub mod access;
+pub mod board;
+pub mod budget;
+pub mod certificate;
+pub mod cmd;
+mod command;
+pub mod downlink;
+pub mod frames;
+pub mod hub;
+pub mod key;
+pub mod latency;
+pub mod link;
+pub mod message;
+pub mod order;
+pub mod simulation;
+pub mod source;
+pub mod store;
+pub mod uplink;
+
+pub use command::run;

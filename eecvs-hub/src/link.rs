@@ -1,0 +1,279 @@
+//! Zenoh's sessions: sensors and receivers are clients of hubs, hubs are routers.
+//!
+//! What differs from Zenoh's defaults, and why:
+//!
+//! * nobody is looked for by multicast: who connects where is said;
+//! * sixteen batches of 64 KiB may wait for each link, as a window's frames come in a burst;
+//! * a sensor waits where its link takes no more, so that it knows and lowers its rate; a hub lets go of what a
+//!   receiver does not take at once, so that one that hangs holds up no other. Receivers ask for it again;
+//! * a link that says nothing for 4 s has failed, one that has failed is tried again within a second.
+
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use anyhow::{Context as _, Result, anyhow, ensure};
+use zenoh::{Config, Session, Wait};
+
+use crate::access::Access;
+
+/// Where a hub is, unless it is said.
+pub const HUB: &str = "tcp/127.0.0.1:7447";
+
+/// What a client or a hub connects to and listens at, and who it is.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Links {
+    /// Endpoints, as Zenoh spells them: `tls/HOST:PORT`, `tcp/HOST:PORT`.
+    pub connect: Vec<String>,
+    /// Endpoints.
+    pub listen: Vec<String>,
+    /// The folder with `ca.pem`, `cert.pem` and `key.pem`, for `tls/` endpoints.
+    pub keys: Option<PathBuf>,
+}
+
+/// Errors of Zenoh are boxed ones that anyhow does not take.
+pub(crate) fn said(what: impl Display) -> impl FnOnce(zenoh::Error) -> anyhow::Error {
+    move |error| anyhow!("{what}: {error}")
+}
+
+/// The same for all.
+const SETTINGS: &[(&str, &str)] = &[
+    ("scouting/multicast/enabled", "false"),
+    ("transport/link/tx/lease", "4000"),
+    ("transport/link/tx/keep_alive", "4"),
+    ("transport/link/tx/queue/size/data", "16"),
+    ("transport/link/tx/queue/size/data_low", "16"),
+    ("transport/link/rx/max_message_size", "16777216"),
+    ("transport/unicast/open_timeout", "5000"),
+    ("transport/unicast/accept_timeout", "5000"),
+    (
+        "connect/retry",
+        "{period_init_ms: 200, period_max_ms: 1000, period_increase_factor: 1.5}",
+    ),
+    ("connect/timeout_ms", "-1"),
+    ("connect/exit_on_failure", "false"),
+];
+
+/// Of a client: what can wait, waits a little, and is let go of only then.
+const CLIENT_SETTINGS: &[(&str, &str)] = &[(
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop",
+    "20000",
+)];
+
+/// Of a hub.
+const HUB_SETTINGS: &[(&str, &str)] = &[
+    ("transport/unicast/max_sessions", "10000"),
+    // Handshakes under way at once, of those who have not shown who they are.
+    ("transport/unicast/accept_pending", "1000"),
+    (
+        "qos/network",
+        "[{id: \"hold-up-nobody\", messages: [\"put\", \"query\"], flows: [\"ingress\"], \
+          key_exprs: [\"**\"], overwrite: {congestion_control: \"drop\"}}]",
+    ),
+];
+
+impl Links {
+    fn config(&self, mode: &str) -> Result<Config> {
+        let mut config = Config::default();
+        set(&mut config, "mode", &format!("{mode:?}"))?;
+        for (name, value) in SETTINGS {
+            set(&mut config, name, value)?;
+        }
+        for (name, endpoints) in [
+            ("connect/endpoints", &self.connect),
+            ("listen/endpoints", &self.listen),
+        ] {
+            set(&mut config, name, &serde_json::to_string(endpoints)?)?;
+        }
+        let endpoints = self.connect.iter().chain(&self.listen);
+        let is_tls = |endpoint: &String| endpoint.starts_with("tls/");
+        match &self.keys {
+            Some(folder) => {
+                for endpoint in endpoints {
+                    ensure!(
+                        is_tls(endpoint),
+                        "{endpoint}: with --keys all links are encrypted: give tls/HOST:PORT"
+                    );
+                }
+                authenticate(&mut config, folder)?;
+            }
+            None => {
+                for endpoint in endpoints {
+                    ensure!(
+                        !is_tls(endpoint),
+                        "{endpoint}: give --keys with the folder of its certificate: eecvs-hub keys makes one"
+                    );
+                }
+            }
+        }
+        Ok(config)
+    }
+}
+
+fn set(config: &mut Config, name: &str, value: &str) -> Result<()> {
+    let inserted = config.insert_json5(name, value);
+    inserted.map_err(said(format_args!("{name}: {value}")))
+}
+
+fn authenticate(config: &mut Config, folder: &Path) -> Result<()> {
+    let path = |name: &str| -> Result<String> {
+        let path = folder.join(name);
+        ensure!(
+            path.is_file(),
+            "{} is not there: eecvs-hub keys makes it",
+            path.display()
+        );
+        let text = path.to_str();
+        let text = text.with_context(|| format!("{}: not a path in UTF-8", path.display()))?;
+        Ok(serde_json::to_string(text)?)
+    };
+    let (root, certificate, key) = (path("ca.pem")?, path("cert.pem")?, path("key.pem")?);
+    for (name, value) in [
+        ("root_ca_certificate", root.as_str()),
+        ("listen_certificate", &certificate),
+        ("listen_private_key", &key),
+        ("connect_certificate", &certificate),
+        ("connect_private_key", &key),
+        ("enable_mtls", "true"),
+        ("close_link_on_expiration", "true"),
+    ] {
+        set(config, &format!("transport/link/tls/{name}"), value)?;
+    }
+    Ok(())
+}
+
+/// A hub's router, until it is dropped.
+pub struct Router {
+    session: Session,
+}
+
+impl Router {
+    /// Listens and connects. With `access`, nobody may more than it says.
+    ///
+    /// # Errors
+    /// Settings, keys, or an endpoint that cannot be listened at.
+    pub fn start(links: &Links, access: Option<&Access>) -> Result<Self> {
+        let mut config = links.config("router")?;
+        for (name, value) in HUB_SETTINGS {
+            set(&mut config, name, value)?;
+        }
+        if let Some(access) = access {
+            let rules = serde_json::to_string(&access.rules())?;
+            set(&mut config, "access_control", &rules)?;
+        }
+        let opened = zenoh::open(config).wait();
+        let session = opened.map_err(said(format_args!("a hub at {}", links.listen.join(", "))))?;
+        Ok(Self { session })
+    }
+
+    /// Its own session, which may everything.
+    #[must_use]
+    pub const fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// Other hubs that are connected.
+    #[must_use]
+    pub fn routers(&self) -> usize {
+        self.session.info().routers_zid().wait().count()
+    }
+}
+
+/// A client's session, which is opened in the background: until a hub answers there is none.
+#[derive(Clone)]
+pub struct Client(Arc<Opening>);
+
+struct Opening {
+    session: OnceLock<Session>,
+    failure: Mutex<Option<String>>,
+    /// Nobody wants it any more.
+    is_given_up: AtomicBool,
+}
+
+impl Client {
+    /// Begins to connect; `opened` is called with the session as soon as there is one.
+    ///
+    /// # Errors
+    /// Settings or keys.
+    pub fn start(
+        links: &Links,
+        opened: impl FnOnce(&Session) -> Result<()> + Send + 'static,
+    ) -> Result<Self> {
+        let mut config = links.config("client")?;
+        for (name, value) in CLIENT_SETTINGS {
+            set(&mut config, name, value)?;
+        }
+        let opening = Arc::new(Opening {
+            session: OnceLock::new(),
+            failure: Mutex::new(None),
+            is_given_up: AtomicBool::new(false),
+        });
+        let own = Arc::clone(&opening);
+        thread::Builder::new()
+            .name("connecting".to_owned())
+            .spawn(move || {
+                let session = match zenoh::open(config).wait() {
+                    Ok(session) => session,
+                    Err(error) => return own.fail(&error.to_string()),
+                };
+                if own.is_given_up.load(Ordering::Relaxed) {
+                    return;
+                }
+                if let Err(error) = opened(&session) {
+                    return own.fail(&format!("{error:#}"));
+                }
+                let _ = own.session.set(session);
+            })
+            .context("a thread that connects")?;
+        Ok(Self(opening))
+    }
+
+    /// The session, once a hub has answered.
+    #[must_use]
+    pub fn session(&self) -> Option<&Session> {
+        self.0.session.get()
+    }
+
+    /// Whether a hub is connected at present.
+    #[must_use]
+    pub fn is_connected(&self) -> bool {
+        self.session()
+            .is_some_and(|session| session.info().routers_zid().wait().next().is_some())
+    }
+
+    /// Why there will be no session, if so.
+    ///
+    /// # Errors
+    /// That.
+    pub fn check(&self) -> Result<()> {
+        let failure = self.0.failure.lock();
+        match &*failure.unwrap_or_else(PoisonError::into_inner) {
+            Some(failure) => Err(anyhow!("connecting: {failure}")),
+            None => Ok(()),
+        }
+    }
+
+    /// Ends the session, after what was put last has had time to leave.
+    pub fn close(&self) {
+        self.0.is_given_up.store(true, Ordering::Relaxed);
+        if let Some(session) = self.session() {
+            thread::sleep(LEAVES);
+            // One whose hub is gone has nothing to say good-bye to.
+            let _ = session.close().wait();
+        }
+    }
+}
+
+/// Time in which what was put has certainly left.
+const LEAVES: Duration = Duration::from_millis(200);
+
+impl Opening {
+    fn fail(&self, why: &str) {
+        let failure = self.failure.lock();
+        *failure.unwrap_or_else(PoisonError::into_inner) = Some(why.to_owned());
+    }
+}

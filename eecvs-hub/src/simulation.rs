@@ -1,0 +1,518 @@
+//! Many sensors and hubs in one process, by their own code: real sessions, encryption, stores, and receivers.
+//!
+//! The load: each sensor plays the frames of one of nine emulated scenes, in turn, from a place of its own in it on, one
+//! frame per window, all out of step. Each sensor is a client of one hub. The first hub is connected to all others. A
+//! receiver at each hub hears the sensors of that hub, and one more at the first hub hears all: every frame is received
+//! twice, and all frames but those of the first hub's sensors pass two hubs. The last hub is stopped for a while.
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap};
+use std::io::{self, Write};
+use std::net::TcpListener;
+use std::num::NonZeroUsize;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, ensure};
+use eecvs_nostd::{Coder, Config, Fidelity, Frame, Hybrid, Mode, Sensor, WindowConfig};
+use host_harness::encode::{Limits, encode};
+use host_harness::scene::{PRESETS, SceneConfig, emulate};
+use host_harness::thresholds_file::ThresholdsFile;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
+use serde::Serialize;
+use usb_bridge::stop::Stop;
+use usb_bridge::usage::Usage;
+
+use crate::access::{Access, Role};
+use crate::certificate::Authority;
+use crate::downlink::{self, Delivered, Downlink};
+use crate::hub::{self, Hub};
+use crate::key::Name;
+use crate::latency::Latencies;
+use crate::link::Links;
+use crate::message::now_us;
+use crate::uplink::{self, Uplink};
+
+/// What is simulated.
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    /// Sensors, evenly at all hubs.
+    pub sensors: usize,
+    /// Hubs.
+    pub hubs: usize,
+    /// How long sensors send.
+    pub duration: Duration,
+    /// How long the last hub is stopped, a third of the duration after the start.
+    pub outage: Duration,
+    /// Size of the sensors.
+    pub sensor: Sensor,
+    /// Windows, and so frames.
+    pub window_us: u32,
+    /// Another seed gives other places in the scenes.
+    pub seed: u64,
+}
+
+/// What came of it; the fields are the JSON keys.
+#[derive(Debug, Clone, Default, Serialize)]
+pub struct Outcome {
+    /// As asked for.
+    pub sensors: usize,
+    /// As asked for.
+    pub hubs: usize,
+    /// Receivers.
+    pub receivers: usize,
+    /// How long sensors sent.
+    pub seconds: f64,
+    /// How long it took to connect all of them.
+    pub connecting_s: f64,
+    /// Frames that sensors made.
+    pub frames: u64,
+    /// Events in them.
+    pub events: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Frames a second that sensors made.
+    pub frames_per_s: f64,
+    /// Bytes a second.
+    pub bytes_per_s: f64,
+    /// Frames that receivers should have got, together.
+    pub expected: u64,
+    /// Frames that they got, each once, in order, as they were sent.
+    pub delivered: u64,
+    /// Frames that came, but were others than those sent, or not in order.
+    pub wrong: u64,
+    /// Of those delivered, frames that were asked for again.
+    pub again: u64,
+    /// Frames that receivers have given up.
+    pub lost: u64,
+    /// Times that clients had no link, together: those at the hub that was stopped.
+    pub outages: u64,
+    /// How long after the end the last frame came.
+    pub late_s: f64,
+    /// From when a frame was due to its arrival, of those that were not asked for again, milliseconds.
+    pub delay_p50_ms: f64,
+    /// 99th percentile.
+    pub delay_p99_ms: f64,
+    /// The longest.
+    pub delay_max_ms: f64,
+    /// Processor seconds per second, of all parts together, while sensors sent.
+    pub cores: f64,
+    /// Most memory that was resident.
+    pub memory_peak_bytes: u64,
+}
+
+/// Frames of a scene, each with its events.
+type Played = Vec<(Vec<u8>, u32)>;
+
+/// Sensors that connect at once.
+const CONNECTING: usize = 32;
+
+/// Longest wait for links, and for frames after the end.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+struct Fleet {
+    options: Options,
+    folder: std::path::PathBuf,
+    ports: Vec<u16>,
+    names: Vec<Name>,
+}
+
+/// What a sensor plays, from where on.
+#[derive(Clone)]
+struct Part {
+    frames: Arc<Played>,
+    start: usize,
+}
+
+/// What a receiver checks.
+struct Checked {
+    parts: Arc<HashMap<Name, Part>>,
+    next: HashMap<Name, u64>,
+    delivered: u64,
+    wrong: u64,
+    latest: Instant,
+}
+
+/// Simulates; `say` gets what happens. Keys are made in `folder`.
+///
+/// # Errors
+/// Something that cannot be started, such as more sockets than a process may have.
+pub fn simulate(
+    options: Options,
+    folder: &Path,
+    stop: &Stop,
+    say: &mut (dyn FnMut(&str) + Send),
+) -> Result<Outcome> {
+    ensure!(
+        options.hubs >= 1 && options.sensors >= options.hubs,
+        "a sensor for each hub at the least"
+    );
+    let played = scenes(options)?;
+    let fleet = Fleet::new(options, folder)?;
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(options.seed);
+    let parts: HashMap<Name, Part> = fleet
+        .names
+        .iter()
+        .enumerate()
+        .map(|(number, name)| {
+            let frames = Arc::clone(&played[number % played.len()]);
+            let start = random.next_u64() as usize % frames.len();
+            (name.clone(), Part { frames, start })
+        })
+        .collect();
+    let parts = Arc::new(parts);
+    let started = Instant::now();
+    let mut hubs: Vec<Hub> = Vec::new();
+    for number in 0..options.hubs {
+        hubs.push(fleet.hub(number)?);
+    }
+    let mut receivers = Vec::new();
+    for number in 0..options.hubs {
+        receivers.push(fleet.receiver(number, &format!("{number}/**"), &parts)?);
+    }
+    receivers.push(fleet.receiver(0, "**", &parts)?);
+    wait("receivers", || {
+        receivers
+            .iter()
+            .all(|(downlink, _)| downlink.is_connected())
+    })?;
+    let mut uplinks: Vec<Uplink> = Vec::new();
+    for (number, name) in fleet.names.iter().enumerate() {
+        uplinks.push(fleet.sensor(number % options.hubs, name)?);
+        if uplinks.len().is_multiple_of(CONNECTING) || uplinks.len() == options.sensors {
+            wait("sensors", || {
+                uplinks
+                    .iter()
+                    .rev()
+                    .take(CONNECTING)
+                    .all(Uplink::is_connected)
+            })?;
+        }
+    }
+    let mut outcome = Outcome {
+        sensors: options.sensors,
+        hubs: options.hubs,
+        receivers: receivers.len(),
+        connecting_s: started.elapsed().as_secs_f64(),
+        ..Outcome::default()
+    };
+    say(&format!("{} sensors are connected", options.sensors));
+    let last = hubs.pop();
+    // Beside the sensors, so that it holds up none.
+    let _last = thread::scope(|scope| -> Result<Option<Hub>> {
+        let interrupted = scope.spawn(|| fleet.interrupt(last, stop, say));
+        play(&fleet, &parts, &uplinks, &mut outcome, stop)?;
+        let interrupted = interrupted.join();
+        interrupted.unwrap_or_else(|_| anyhow::bail!("a thread panicked: please report this"))
+    })?;
+    let ended = Instant::now();
+    outcome.expected = 2 * outcome.frames;
+    let delivered = || {
+        receivers
+            .iter()
+            .map(|(_, checked)| lock(checked).delivered)
+            .sum::<u64>()
+    };
+    while delivered() < outcome.expected && ended.elapsed() < PATIENCE && !stop.is_asked() {
+        thread::sleep(Duration::from_millis(50));
+    }
+    outcome.outages = uplinks.iter().map(|uplink| uplink.status().outages).sum();
+    let mut delays = Latencies::default();
+    for (downlink, checked) in receivers {
+        let report = downlink.finish()?;
+        delays.merge(&report.delays);
+        outcome.outages += report.outages;
+        outcome.again += report
+            .sensors
+            .iter()
+            .map(|sensor| sensor.again)
+            .sum::<u64>();
+        outcome.lost += report.sensors.iter().map(|sensor| sensor.lost).sum::<u64>();
+        let checked = lock(&checked);
+        outcome.delivered += checked.delivered;
+        outcome.wrong += checked.wrong;
+        let late_s = checked
+            .latest
+            .saturating_duration_since(ended)
+            .as_secs_f64();
+        outcome.late_s = outcome.late_s.max(late_s);
+    }
+    let delays = delays.quantiles();
+    (
+        outcome.delay_p50_ms,
+        outcome.delay_p99_ms,
+        outcome.delay_max_ms,
+    ) = (delays.p50_ms, delays.p99_ms, delays.max_ms);
+    outcome.memory_peak_bytes = Usage::now().memory_peak_bytes.unwrap_or(0);
+    // All at once: each waits a moment for those who may still ask.
+    thread::scope(|scope| {
+        for uplink in uplinks {
+            scope.spawn(move || uplink.finish(Duration::ZERO));
+        }
+    });
+    Ok(outcome)
+}
+
+/// Sends each sensor's frames when they are due.
+fn play(
+    fleet: &Fleet,
+    parts: &HashMap<Name, Part>,
+    uplinks: &[Uplink],
+    outcome: &mut Outcome,
+    stop: &Stop,
+) -> Result<()> {
+    let options = fleet.options;
+    let window = Duration::from_micros(options.window_us.into());
+    let usage = Usage::now();
+    let started = Instant::now();
+    let origin_us = now_us();
+    // When each sensor's next frame is due, evenly over a window.
+    let mut due: BinaryHeap<Reverse<(Duration, usize, u64)>> = (0..uplinks.len())
+        .map(|number| Reverse((window * number as u32 / uplinks.len() as u32, number, 0)))
+        .collect();
+    while let Some(Reverse((at, sensor, number))) = due.pop() {
+        if at >= options.duration || stop.is_asked() {
+            break;
+        }
+        let now = started.elapsed();
+        if at > now {
+            thread::sleep(at - now);
+        }
+        let part = &parts[&fleet.names[sensor]];
+        let (frame, events) = &part.frames[(part.start + number as usize) % part.frames.len()];
+        uplinks[sensor].send(frame, origin_us + at.as_micros() as u64)?;
+        outcome.frames += 1;
+        outcome.events += u64::from(*events);
+        outcome.bytes += frame.len() as u64;
+        due.push(Reverse((at + window, sensor, number + 1)));
+    }
+    outcome.seconds = started.elapsed().as_secs_f64();
+    outcome.cores = usage.cpu_s() / outcome.seconds;
+    outcome.frames_per_s = outcome.frames as f64 / outcome.seconds;
+    outcome.bytes_per_s = outcome.bytes as f64 / outcome.seconds;
+    Ok(())
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn wait(who: &str, is_so: impl Fn() -> bool) -> Result<()> {
+    let started = Instant::now();
+    while !is_so() {
+        ensure!(
+            started.elapsed() < PATIENCE,
+            "{who} do not get a link: a process may have too few sockets (ulimit -n), or the machine is too slow"
+        );
+        thread::sleep(Duration::from_millis(10));
+    }
+    Ok(())
+}
+
+/// The frames of the nine scenes: lossless, by the fast coder, one for each window.
+fn scenes(options: Options) -> Result<Vec<Arc<Played>>> {
+    let mode = Mode::Hybrid(Hybrid {
+        coder: Coder::Fast,
+        fidelity: Fidelity::Lossless,
+    });
+    let window = WindowConfig {
+        sensor: options.sensor,
+        window_us: options.window_us,
+    };
+    let config = Config::new(window, ThresholdsFile::scenes()?.thresholds()?, mode);
+    let mut scenes = Vec::new();
+    for preset in PRESETS {
+        let mut scene = SceneConfig::new(preset, options.seed);
+        scene.sensor = options.sensor;
+        scene.duration_us = SCENE_US;
+        let mut frames = Pieces::default();
+        let limits = Limits::default();
+        encode(
+            &mut emulate(scene)?,
+            config,
+            limits,
+            NonZeroUsize::MIN,
+            &mut frames,
+            &mut |_| {},
+        )?;
+        let frames = frames.0;
+        ensure!(
+            !frames.is_empty(),
+            "a scene without events: give a larger sensor"
+        );
+        scenes.push(Arc::new(frames));
+    }
+    Ok(scenes)
+}
+
+/// Frames and their events, a frame in each write.
+#[derive(Default)]
+struct Pieces(Played);
+
+impl Write for Pieces {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let events = Frame::parse(bytes).map_or(0, |frame| frame.header.events);
+        self.0.push((bytes.to_vec(), events));
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Length of a scene.
+const SCENE_US: u64 = 2_000_000;
+
+impl Fleet {
+    fn new(options: Options, folder: &Path) -> Result<Self> {
+        let authority = Authority::open(folder, 1)?;
+        let host = ["127.0.0.1".to_owned()];
+        let mut names = Vec::new();
+        for number in 0..options.sensors {
+            let name: Name = format!("{}/{number}", number % options.hubs).parse()?;
+            authority.sign(&Role::Sensor(name.clone()), &[], &[], 1)?;
+            names.push(name);
+        }
+        for number in 0..options.hubs {
+            authority.sign(&Role::Hub(number.to_string()), &host, &[], 1)?;
+        }
+        authority.sign(
+            &Role::Receiver("all".to_owned()),
+            &[],
+            &["**".to_owned()],
+            1,
+        )?;
+        let mut ports = Vec::new();
+        for _ in 0..options.hubs {
+            ports.push(TcpListener::bind("127.0.0.1:0")?.local_addr()?.port());
+        }
+        Ok(Self {
+            options,
+            folder: folder.to_owned(),
+            ports,
+            names,
+        })
+    }
+
+    fn links(&self, hub: usize, role: &str) -> Links {
+        Links {
+            connect: vec![format!("tls/127.0.0.1:{}", self.ports[hub])],
+            listen: Vec::new(),
+            keys: Some(self.folder.join(role)),
+        }
+    }
+
+    fn hub(&self, number: usize) -> Result<Hub> {
+        let mut access = Access::read(&self.folder)?;
+        // A hub knows its own sensors alone.
+        access
+            .sensors
+            .retain(|name| name.as_str().starts_with(&format!("{number}/")));
+        let links = Links {
+            connect: match number {
+                0 => Vec::new(),
+                _ => vec![format!("tls/127.0.0.1:{}", self.ports[0])],
+            },
+            listen: vec![format!("tls/127.0.0.1:{}", self.ports[number])],
+            keys: Some(self.folder.join(format!("hub-{number}"))),
+        };
+        let options = hub::Options {
+            name: number.to_string(),
+            watch: Some(format!("{number}/**")),
+            access: Some(access),
+            ..hub::Options::default()
+        };
+        Hub::start(options, &links, None)
+    }
+
+    /// Stops the last hub for the time that is asked for; what is there after that.
+    fn interrupt(
+        &self,
+        hub: Option<Hub>,
+        stop: &Stop,
+        say: &mut (dyn FnMut(&str) + Send),
+    ) -> Result<Option<Hub>> {
+        let wait = |time: Duration| {
+            let started = Instant::now();
+            while started.elapsed() < time && !stop.is_asked() {
+                thread::sleep(Duration::from_millis(10));
+            }
+        };
+        let running = match hub {
+            Some(running) if !self.options.outage.is_zero() => running,
+            hub => return Ok(hub),
+        };
+        let number = self.options.hubs - 1;
+        wait(self.options.duration / 3);
+        running.finish()?;
+        say(&format!("hub {number} is stopped"));
+        wait(self.options.outage);
+        let hub = self.hub(number)?;
+        say(&format!("hub {number} is back"));
+        Ok(Some(hub))
+    }
+
+    fn sensor(&self, hub: usize, name: &Name) -> Result<Uplink> {
+        let options = uplink::Options {
+            name: name.clone(),
+            sensor: self.options.sensor,
+            memory_bytes: 4 << 20,
+            disk: None,
+            bytes_per_second: None,
+        };
+        let role = format!("sensor-{}", name.as_str().replace('/', "."));
+        Uplink::start(&options, &self.links(hub, &role)).context("a sensor")
+    }
+
+    fn receiver(
+        &self,
+        hub: usize,
+        names: &str,
+        parts: &Arc<HashMap<Name, Part>>,
+    ) -> Result<(Downlink, Arc<Mutex<Checked>>)> {
+        let checked = Arc::new(Mutex::new(Checked {
+            parts: Arc::clone(parts),
+            next: HashMap::new(),
+            delivered: 0,
+            wrong: 0,
+            latest: Instant::now(),
+        }));
+        let own = Arc::clone(&checked);
+        let options = downlink::Options {
+            names: vec![names.to_owned()],
+            ..downlink::Options::default()
+        };
+        let deliver = move |delivered: Delivered<'_>| {
+            lock(&own).take(&delivered);
+            Ok(())
+        };
+        let links = self.links(hub, "receiver-all");
+        Ok((
+            Downlink::start(options, &links, Box::new(deliver))?,
+            checked,
+        ))
+    }
+}
+
+impl Checked {
+    fn take(&mut self, delivered: &Delivered<'_>) {
+        let number = delivered.stamp.number;
+        let want = self.parts.get(delivered.name).and_then(|part| {
+            let at = (part.start as u64 + number) % part.frames.len() as u64;
+            part.frames.get(at as usize)
+        });
+        let next = self.next.entry(delivered.name.clone()).or_insert(0);
+        let is_right = *next == number && want.is_some_and(|(frame, _)| frame == delivered.frame);
+        *next = number + 1;
+        if is_right {
+            self.delivered += 1;
+        } else {
+            self.wrong += 1;
+        }
+        self.latest = Instant::now();
+    }
+}

@@ -1,0 +1,346 @@
+//! A scene or a recording as a live source: events come when they are due.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, ensure};
+use eecvs_nostd::{Event, Sensor};
+use host_harness::formats::{BATCH_EVENTS, EventReader, Pause, Skipped};
+use usb_bridge::peripheral::stream::Pace;
+use usb_bridge::stop::Stop;
+
+use crate::message::now_us;
+
+/// Longest wait for the next event, before it is said that there was none.
+const WAIT: Duration = Duration::from_millis(2);
+
+/// Events of a recording that is repeated: it is held in memory.
+pub const REPEATED_MAX: usize = 1 << 26;
+
+/// When events of the sensor's time were due, by this computer's clock.
+#[derive(Debug, Default)]
+pub struct Clock {
+    /// Microseconds since 1970 at the sensor's time 0, plus 1; 0 where they do not run together.
+    origin_us: AtomicU64,
+    /// When events were asked for last.
+    read_us: AtomicU64,
+}
+
+impl Clock {
+    /// When a window's end was due; where times do not run with the computer's, when it was found.
+    #[must_use]
+    pub fn at(&self, t_us: u64) -> u64 {
+        match self.origin_us.load(Ordering::Relaxed) {
+            0 => self.read_us.load(Ordering::Relaxed),
+            origin_us => (origin_us - 1).wrapping_add(t_us),
+        }
+    }
+}
+
+/// Gives a reader's events when they are due.
+pub struct Live {
+    events: From,
+    pace: Pace,
+    stop: Stop,
+    clock: Arc<Clock>,
+    sensor: Sensor,
+    skipped: Skipped,
+    format: &'static str,
+    /// Events that were read and are not due yet.
+    waiting: Vec<Event>,
+    used: usize,
+    /// When the first one was given, and its time.
+    start: Option<(Instant, u64)>,
+    given: u64,
+    is_over: bool,
+    /// The sensor's time up to which all events were given.
+    passed_us: u64,
+}
+
+/// Where events come from.
+enum From {
+    Once(Box<dyn EventReader>),
+    Again {
+        events: Vec<Event>,
+        next: usize,
+        /// Added to times, and how much more with each round.
+        shift_us: u64,
+        round_us: u64,
+    },
+}
+
+impl Live {
+    /// Events of a reader at a pace; with `repeat`, from its end on from its beginning, with times that go on.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, or one that is repeated and has too many events.
+    pub fn new(
+        mut reader: Box<dyn EventReader>,
+        pace: Pace,
+        repeat: bool,
+        stop: Stop,
+    ) -> Result<Self> {
+        let (sensor, format) = (reader.sensor(), reader.format());
+        let events = match repeat {
+            false => From::Once(reader),
+            true => {
+                let mut events = Vec::new();
+                while reader.read(&mut events)? > 0 {
+                    ensure!(
+                        events.len() <= REPEATED_MAX,
+                        "a recording of more than {REPEATED_MAX} events cannot be repeated: cut it by eecvs convert"
+                    );
+                }
+                ensure!(
+                    !events.is_empty(),
+                    "a recording without events cannot be repeated"
+                );
+                let times = || events.iter().map(|event| event.t_us);
+                let span_us = times().max().unwrap_or(0) - times().min().unwrap_or(0);
+                From::Again {
+                    events,
+                    next: 0,
+                    shift_us: 0,
+                    round_us: span_us + 1,
+                }
+            }
+        };
+        Ok(Self {
+            events,
+            pace,
+            stop,
+            clock: Arc::default(),
+            sensor,
+            skipped: Skipped::default(),
+            format,
+            waiting: Vec::new(),
+            used: 0,
+            start: None,
+            given: 0,
+            is_over: false,
+            passed_us: 0,
+        })
+    }
+
+    /// When its events are due.
+    #[must_use]
+    pub fn clock(&self) -> Arc<Clock> {
+        Arc::clone(&self.clock)
+    }
+
+    /// Reads on where nothing waits.
+    fn fill(&mut self) -> Result<()> {
+        if self.used < self.waiting.len() {
+            return Ok(());
+        }
+        self.waiting.clear();
+        self.used = 0;
+        match &mut self.events {
+            From::Once(reader) => {
+                // One that is live itself has no events for a moment.
+                while reader.read(&mut self.waiting)? == 0 {
+                    if reader.pause() == Pause::Ended || self.stop.is_asked() {
+                        self.is_over = true;
+                        return Ok(());
+                    }
+                }
+            }
+            From::Again {
+                events,
+                next,
+                shift_us,
+                round_us,
+            } => {
+                if *next >= events.len() {
+                    *next = 0;
+                    *shift_us += *round_us;
+                }
+                let batch = events.iter().skip(*next).take(BATCH_EVENTS);
+                self.waiting.extend(batch.map(|event| Event {
+                    t_us: event.t_us + *shift_us,
+                    ..*event
+                }));
+                *next += self.waiting.len();
+            }
+        }
+        Ok(())
+    }
+
+    /// How many of those that wait are due, and how long the next one is not.
+    fn due(&mut self, now: Instant) -> (usize, Duration) {
+        let waiting = self.waiting.get(self.used..).unwrap_or_default();
+        let Some(first) = waiting.first() else {
+            return (0, Duration::ZERO);
+        };
+        let (at, first_us) = *self.start.get_or_insert((now, first.t_us));
+        let since = now.saturating_duration_since(at);
+        match self.pace {
+            Pace::Max => (waiting.len(), Duration::ZERO),
+            Pace::Recorded(factor) => {
+                let passed_us = first_us + (since.as_secs_f64() * factor * 1e6) as u64;
+                self.passed_us = self.passed_us.max(passed_us);
+                let due = waiting
+                    .iter()
+                    .take_while(|event| event.t_us <= passed_us)
+                    .count();
+                let left_us = first.t_us.saturating_sub(passed_us) as f64 / factor;
+                (due, Duration::from_micros(left_us as u64))
+            }
+            Pace::Rate(per_second) => {
+                let due = (since.as_secs_f64() * per_second) as u64 + 1;
+                let due = due.saturating_sub(self.given);
+                (waiting.len().min(due as usize), WAIT)
+            }
+        }
+    }
+}
+
+impl EventReader for Live {
+    fn format(&self) -> &'static str {
+        self.format
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        if self.stop.is_asked() {
+            self.is_over = true;
+        }
+        if self.is_over {
+            return Ok(0);
+        }
+        self.fill()?;
+        if self.is_over {
+            return Ok(0);
+        }
+        let (mut due, left) = self.due(Instant::now());
+        if due == 0 {
+            thread::sleep(left.min(WAIT).max(Duration::from_micros(100)));
+            (due, _) = self.due(Instant::now());
+        }
+        self.clock.read_us.store(now_us(), Ordering::Relaxed);
+        if self.given == 0
+            && let (Some((_, first_us)), Pace::Recorded(1.0)) = (self.start, self.pace)
+        {
+            let origin_us = now_us().wrapping_sub(first_us).wrapping_add(1);
+            self.clock.origin_us.store(origin_us, Ordering::Relaxed);
+        }
+        let now = self
+            .waiting
+            .get(self.used..self.used + due)
+            .unwrap_or_default();
+        events.extend_from_slice(now);
+        if let Some(last) = now.last() {
+            self.passed_us = self.passed_us.max(last.t_us);
+        }
+        self.used += due;
+        self.given += due as u64;
+        Ok(due)
+    }
+
+    fn pause(&self) -> Pause {
+        match self.is_over {
+            true => Pause::Ended,
+            false => Pause::Until(self.passed_us),
+        }
+    }
+
+    fn skipped(&self) -> &Skipped {
+        match &self.events {
+            From::Once(reader) => reader.skipped(),
+            From::Again { .. } => &self.skipped,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use host_harness::scene::{Preset, SceneConfig, emulate};
+
+    use super::*;
+
+    fn scene() -> Box<dyn EventReader> {
+        let mut config = SceneConfig::new(Preset::IndoorFlying, 1);
+        config.sensor = Sensor::new(32, 32).unwrap();
+        config.duration_us = 100_000;
+        Box::new(emulate(config).unwrap())
+    }
+
+    fn all(reader: &mut dyn EventReader) -> Vec<Event> {
+        let mut events = Vec::new();
+        while reader.read(&mut events).unwrap() > 0 {}
+        events
+    }
+
+    #[test]
+    fn events_come_when_they_are_due() {
+        let want = all(scene().as_mut());
+        let mut live = Live::new(scene(), Pace::Recorded(1.0), false, Stop::default()).unwrap();
+        let clock = live.clock();
+        let started = Instant::now();
+        let mut events = Vec::new();
+        let first_us = want[0].t_us;
+        while live.pause() != Pause::Ended {
+            let before = events.len();
+            live.read(&mut events).unwrap();
+            let passed_us = started.elapsed().as_micros() as u64;
+            for event in &events[before..] {
+                assert!(event.t_us - first_us <= passed_us, "not before it is due");
+                assert!(clock.at(event.t_us) <= now_us());
+            }
+            if let Pause::Until(until_us) = live.pause() {
+                // What comes later is later.
+                assert!(events.last().is_none_or(|last| last.t_us <= until_us));
+            }
+        }
+        assert_eq!(events, want);
+        let span_us = want[want.len() - 1].t_us - first_us;
+        assert!(started.elapsed() >= Duration::from_micros(span_us));
+    }
+
+    #[test]
+    fn a_recording_goes_on_at_its_end() {
+        let want = all(scene().as_mut());
+        let stop = Stop::default();
+        let mut live = Live::new(scene(), Pace::Max, true, stop.clone()).unwrap();
+        let mut events = Vec::new();
+        while events.len() < want.len() * 5 / 2 {
+            live.read(&mut events).unwrap();
+        }
+        stop.ask();
+        assert_eq!(
+            (live.read(&mut events).unwrap(), live.pause()),
+            (0, Pause::Ended)
+        );
+        let span_us = want[want.len() - 1].t_us - want[0].t_us + 1;
+        for (at, event) in events.iter().enumerate() {
+            let of = want[at % want.len()];
+            let round = (at / want.len()) as u64;
+            assert_eq!(
+                *event,
+                Event {
+                    t_us: of.t_us + round * span_us,
+                    ..of
+                }
+            );
+        }
+    }
+
+    #[test]
+    fn a_rate_holds() {
+        let want = all(scene().as_mut());
+        let rate = want.len() as f64 * 5.0;
+        let mut live = Live::new(scene(), Pace::Rate(rate), false, Stop::default()).unwrap();
+        let started = Instant::now();
+        let mut events = Vec::new();
+        while live.pause() != Pause::Ended {
+            live.read(&mut events).unwrap();
+            assert!(events.len() as f64 <= started.elapsed().as_secs_f64() * rate + 1.0);
+        }
+        assert_eq!(events, want);
+    }
+}
