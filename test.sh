@@ -13,8 +13,8 @@
 #             unit stage compares them where the system's Python has these)
 #   peers     the formats against independent decoders, in a Python of its own with their packages: only when it
 #             is named (the unit stage compares them where the system's Python has some)
-#   page      the page of `eecvs report` in a browser, at the width of a desk and of a telephone: only when it
-#             is named (the unit stage opens it where there is a browser)
+#   page      the pages of `eecvs report` and of a hub in a browser, at the width of a desk and of a telephone: only
+#             when it is named (the unit stage opens them where there is a browser)
 #   ros       the nodes of ROS 2 against genuine ROS 2, Fast DDS in C++ and Cyclone DDS in C, which it makes: only
 #             when it is named
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
@@ -141,7 +141,7 @@ peers() {
         cargo test --workspace "${FEATURES[@]}" --test formats_peers -- --nocapture
 }
 
-# The name of a browser that the page is opened in, as host-harness/tests/browser/mod.rs has them.
+# The name of a browser that pages are opened in, as host-harness/tests/browser/mod.rs has them.
 browser() {
     local name
     for name in chromium chromium-browser google-chrome google-chrome-stable; do
@@ -160,7 +160,7 @@ page() {
         fi
     fi
     # Named, it must run.
-    EECVS_BROWSER=$name cargo test --workspace "${FEATURES[@]}" --test report_page -- --nocapture
+    EECVS_BROWSER=$name cargo test --workspace "${FEATURES[@]}" --test report_page --test page -- --nocapture
 }
 
 # A target's core library, installed if rustup may.
