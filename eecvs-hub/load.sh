@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Sensors at full load through one hub: load.sh [SECONDS] [--kill] [--json]
+# Sensors at full load through one hub: load.sh [SECONDS] [--kill] [--json], or load.sh --record FILE
 #
 # 8 sensors send the events of a scene at 2 million a second each, in mode hybrid, to a hub, and 3 receivers take all of
 # them: each a program of its own on this computer, over encrypted links. With --kill the hub is killed (SIGKILL) halfway,
@@ -7,19 +7,37 @@
 # status 1 where a frame is missing, or sensors or receivers say that they lost one.
 #
 # SENSORS, RATE, RECEIVERS and WINDOW_US of the environment replace these numbers.
+#
+# With --record, it does so without and with --kill, has eecvs-hub simulate its 1,000 sensors, and writes the record of
+# which README.md's table is made. That wants a machine that does nothing else.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-seconds=20 kill= json=
-for argument in "$@"; do
-    case $argument in
+seconds=20 kill='' json='' record=''
+while [ $# -gt 0 ]; do
+    case $1 in
         --kill) kill=1 ;;
         --json) json=1 ;;
-        *) seconds=$argument ;;
+        --record) record=$(realpath -m "${2:?--record wants a file}"); shift ;;
+        *[!0-9]* | '') sed -n '2,14s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+        *) seconds=$1 ;;
     esac
+    shift
 done
 sensors=${SENSORS:-8} rate=${RATE:-2000000} receivers=${RECEIVERS:-3} window_us=${WINDOW_US:-32768}
 cargo build --release --quiet -p eecvs-hub
-program=$PWD/target/release/eecvs-hub
+program=$PWD/${CARGO_TARGET_DIR:-target}/release/eecvs-hub
+if [ -n "$record" ]; then
+    model=$(sed -n 's/^model name[^:]*: *//p' /proc/cpuinfo | head -1)
+    rows=("$(eecvs-hub/load.sh 20 --json)" "$(eecvs-hub/load.sh 30 --kill --json)")
+    simulated=$("$program" simulate --json)
+    rows+=("{\"run\":\"simulation\",${simulated#\{}")
+    {
+        echo "{\"date\":\"$(date -u +%F)\",\"machine\":\"${model:-$(uname -m)}, $(nproc) threads, linux\",\"version\":\"$("$program" --version | cut -d ' ' -f 2)\",\"rows\":["
+        printf '%s\n' "${rows[@]}" | sed '$!s/$/,/'
+        echo "]}"
+    } >"$record"
+    exit
+fi
 folder=$(mktemp -d)
 trap 'kill $(jobs -p) 2>/dev/null || true; wait 2>/dev/null || true; rm -rf "$folder"' EXIT
 cd "$folder"
@@ -59,18 +77,20 @@ fi
 for process in "${sends[@]}" "${takes[@]}"; do
     wait "$process" || { cat ./*.log >&2; echo "load.sh: a program has failed" >&2; exit 1; }
 done
-cat ./receiver-*.log >&2
-python3 - "$json" sent-* -- received-* <<'PYTHON'
+cat ./hub.log ./receiver-*.log >&2
+python3 - "$json" "$kill" sent-* -- received-* <<'PYTHON'
 import json
 import sys
 
-as_json, files = sys.argv[1], sys.argv[2:]
+as_json, killed, files = sys.argv[1], sys.argv[2], sys.argv[3:]
 at = files.index("--")
 sent = [json.load(open(name)) for name in files[:at]]
 received = [json.load(open(name)) for name in files[at + 1 :]]
 frames = {sensor["name"]: sensor["frames"] for sensor in sent}
 wall_s = max(sensor["wall_s"] for sensor in sent)
 row = {
+    "run": "load",
+    "killed": killed != "",
     "sensors": len(sent),
     "receivers": len(received),
     "seconds": round(wall_s, 2),

@@ -12,6 +12,7 @@ use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Header, Hybrid, Mode, Polarity, Sensor, Transform,
 };
 use host_harness::decode::WindowReader;
+use host_harness::encode::{Budget, Codec, Limits, encode as encode_all};
 use host_harness::formats::{self, EventReader, Skipped};
 use host_harness::frame_file::FrameReader;
 use host_harness::metrics::compare;
@@ -47,6 +48,86 @@ fn most_in_a_second(frames: &[Vec<u8>]) -> u64 {
         second.map(|end| end.1).sum()
     };
     ends.iter().enumerate().map(from).max().unwrap_or(0)
+}
+
+/// Lowers and raises a budget while frames are written, and keeps what held when.
+struct Changing<'b> {
+    budget: &'b Budget,
+    /// Budgets in bytes a second, a new one after so many frames each.
+    budgets: &'b [u32],
+    frames_each: usize,
+    frames: Vec<(Vec<u8>, u32)>,
+}
+
+impl std::io::Write for Changing<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let of = |frame: usize| self.budgets[frame / self.frames_each % self.budgets.len()];
+        self.frames.push((bytes.to_vec(), of(self.frames.len())));
+        // It holds for the frames of the next window.
+        self.budget.set(Some(of(self.frames.len())));
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A budget that changes while windows are encoded: no second exceeds the larger of those that held in it, and all events
+/// are accounted for.
+#[test]
+fn a_budget_may_change() {
+    let sensor = Sensor::new(64, 48).expect("a size");
+    let events = scene(sensor, &[(6000, 200, true)]);
+    for coder in [Coder::Fast, Coder::Dense] {
+        let config = Config {
+            window: eecvs_nostd::WindowConfig {
+                sensor,
+                window_us: 10_000,
+            },
+            ..with_budget(sensor, coder, Fidelity::Lossless, 0)
+        };
+        let budgets = [400_000, 50_000, 200_000, 20_000];
+        let budget = Budget::new(Some(budgets[0]));
+        let codec = Codec {
+            budget: Some(&budget),
+            ..Codec::from(config)
+        };
+        let mut out = Changing {
+            budget: &budget,
+            budgets: &budgets,
+            // More than a second.
+            frames_each: 120,
+            frames: Vec::new(),
+        };
+        let mut reader = Memory(events.clone().into_iter(), sensor, Skipped::default());
+        let threads = std::num::NonZeroUsize::new(2).expect("2");
+        let limits = Limits::default();
+        let summary = encode_all(&mut reader, codec, limits, threads, &mut out, &mut |_| {});
+        let summary = summary.expect("encoded");
+        assert_eq!(summary.threads, 1);
+        assert_eq!(summary.events_in, events.len() as u64);
+        assert!(summary.events_thinned > 0 && summary.events_encoded > 0);
+        let ends: Vec<(u64, u64, u32)> = out
+            .frames
+            .iter()
+            .map(|(bytes, budget)| {
+                let header = parse(bytes).header;
+                let end_us = header.t0_us + u64::from(header.duration_us);
+                (end_us, bytes.len() as u64, *budget)
+            })
+            .collect();
+        for (i, (start_us, ..)) in ends.iter().enumerate() {
+            let second = || {
+                ends[i..]
+                    .iter()
+                    .take_while(|end| end.0 < start_us + 1_000_000)
+            };
+            let bytes: u64 = second().map(|end| end.1).sum();
+            let largest = second().map(|end| u64::from(end.2)).max().unwrap_or(0);
+            assert!(bytes <= largest + EMPTY_FRAME_BYTES, "{bytes} of {largest}");
+        }
+    }
 }
 
 /// Checks everything but the fidelity; the headers by window.

@@ -7,6 +7,7 @@ use host_harness::cmd::output::end;
 use usb_bridge::stop::Stop;
 
 use crate::cmd::{hub, keys, receive, sensor, simulate};
+use crate::link::have_threads;
 
 /// Many sensors to many machines, over Zenoh: sensors send frames to hubs, receivers take them from these
 #[derive(Debug, Parser)]
@@ -25,9 +26,10 @@ enum Command {
     Simulate(simulate::Simulate),
 }
 
-/// The command.
+/// The command. It is called before a program does anything else.
 #[must_use]
 pub fn run() -> ExitCode {
+    have_threads();
     let line = EecvsHub::parse();
     let stop = match Stop::on_signals() {
         Ok(stop) => stop,
