@@ -271,7 +271,7 @@ impl Shared {
                 .len();
             self.board.hub(HubFigures {
                 routers: router.routers(),
-                peers: receivers,
+                receivers,
             });
             if self.options.budgets.is_empty() && self.options.total.is_none() {
                 continue;

@@ -202,7 +202,7 @@ impl Feeder {
             while !wish.load(Ordering::Relaxed) {
                 board.hub(HubFigures {
                     routers: 2,
-                    peers: 17,
+                    receivers: 17,
                 });
                 for (cast, scene) in CAST.iter().zip(&scenes) {
                     cast.feed(&board, scene, step);
@@ -409,10 +409,10 @@ fn the_page_is_whole_at_both_widths() {
                 0
             ])
         );
-        let summary = browser.run("['connected', 'known', 'routers', 'peers', 'said'].map(id => document.getElementById(id).textContent)");
+        let summary = browser.run("['connected', 'known', 'routers', 'receivers', 'said'].map(id => document.getElementById(id).textContent)");
         assert_eq!(
             summary,
-            json!(["11", "of 12 known", "2", "17 peers linked", "● live"])
+            json!(["11", "of 12 known", "2", "17 receivers linked", "● live"])
         );
         for of in ["events", "bytes", "missing"] {
             let shown = browser.run(&format!("document.getElementById('{of}').textContent"));

@@ -246,7 +246,11 @@ impl Collector for Overview {
                 "Other hubs with a link",
                 self.figures.routers as f64,
             ),
-            ("hub_peers", "Others with a link", self.figures.peers as f64),
+            (
+                "hub_receivers",
+                "Receivers with a link to any hub",
+                self.figures.receivers as f64,
+            ),
             (
                 "hub_sensors",
                 "Sensors that are known",

@@ -37,8 +37,8 @@ pub const SENSORS_MAX: usize = 10_000;
 pub struct HubFigures {
     /// Other hubs that it has a link to.
     pub routers: usize,
-    /// Sensors, receivers and others with a link to it.
-    pub peers: usize,
+    /// Receivers with a link to it, or to another hub that it has a link to.
+    pub receivers: usize,
 }
 
 /// All of a board at a moment.

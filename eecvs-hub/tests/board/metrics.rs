@@ -58,7 +58,7 @@ fn metrics_are_in_the_text_format() {
     board.status(&name("one"), status);
     board.hub(HubFigures {
         routers: 2,
-        peers: 5,
+        receivers: 5,
     });
     let text = board.metrics();
     let (body, end) = text.rsplit_once("# EOF\n").unwrap();
@@ -110,7 +110,7 @@ fn metrics_are_in_the_text_format() {
     };
     let hub = [("hub", "a \"hub\" \\ of\nlines")];
     assert_eq!(value("eecvs_hub_routers", &hub), Some(2.0));
-    assert_eq!(value("eecvs_hub_peers", &hub), Some(5.0));
+    assert_eq!(value("eecvs_hub_receivers", &hub), Some(5.0));
     let frames = scene.frames.len() as f64;
     for at in ["one", "two/three"] {
         let sensor = [("sensor", at)];

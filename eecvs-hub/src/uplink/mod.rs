@@ -4,6 +4,9 @@
 //! less than is made, the encoder's budget is lowered; while there is no link, frames are kept, and receivers ask for
 //! them once it is back.
 
+mod answer;
+mod link;
+
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -19,15 +22,13 @@ use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
-use crate::budget::{Bucket, Governor, least};
-use crate::downlink::ANSWER_MAX;
+use crate::budget::{Governor, least};
 use crate::key::{Kind, Name};
 use crate::link::{Client, Links, said};
-use crate::message::{
-    Answer, Budget, Events, HELD_MAX, Message, RANGES_MAX, Range, Stamp, Status, Wish, now_us,
-};
+use crate::message::{Budget, Events, HELD_MAX, Message, RANGES_MAX, Status, Wish, now_us};
 use crate::store::Store;
 use crate::store::disk::Disk;
+use link::Link;
 
 /// What a sensor is told.
 #[derive(Debug, Clone)]
@@ -46,25 +47,6 @@ pub struct Options {
 
 /// Wishes that wait; whoever sends more has to send them again.
 const WISHES_MAX: usize = 64;
-
-/// Bytes sent in answer to one wish, about.
-const ANSWER_BYTES: usize = 512 << 10;
-
-/// Bytes that wait for the link at the most: beyond, what is newest goes first.
-const WAITING_MAX: u64 = 8 << 20;
-
-/// How often the sensor says how it fares, and looks at its link.
-const STATUS: Duration = Duration::from_millis(500);
-const LOOK: Duration = Duration::from_millis(50);
-const STEP: Duration = Duration::from_millis(1000 / Governor::STEPS_HZ as u64);
-/// Longest sleep of the thread.
-const SLEEP: Duration = Duration::from_millis(200);
-
-/// At the end, so long after the last wish, nobody misses anything: who does, asks again before.
-const QUIET: Duration = ANSWER_MAX.saturating_mul(2);
-
-/// While something is asked for again, this part of the budget is left to it.
-const AGAIN_PART: u32 = 8;
 
 /// A sensor's link.
 pub struct Uplink {
@@ -375,303 +357,5 @@ impl State {
     /// By the command line and the hub.
     fn allowed(&self) -> Option<u32> {
         least(self.own_budget, self.hub_budget)
-    }
-}
-
-/// The thread of the link.
-struct Link<'s> {
-    shared: &'s Shared,
-    bucket: Bucket,
-    answering: Option<Answering>,
-    looked: Instant,
-    stepped: Instant,
-    said: Instant,
-    /// Bytes sent and made up to a step.
-    before: (u64, u64),
-}
-
-/// A wish that is being met.
-struct Answering {
-    query: Query,
-    receiver: u64,
-    run: u64,
-    ranges: VecDeque<Range>,
-    answer: Answer,
-    bytes: usize,
-}
-
-/// What to do next.
-enum Act {
-    Send(Stamp, Arc<[u8]>),
-    Answer(Box<(Query, Wish)>),
-    GoOn,
-    Wait(Duration),
-    End,
-}
-
-impl<'s> Link<'s> {
-    fn new(shared: &'s Shared) -> Self {
-        let now = Instant::now();
-        let rate = shared.state().own_budget;
-        Self {
-            shared,
-            bucket: Bucket::new(rate, now),
-            answering: None,
-            looked: now - LOOK,
-            stepped: now,
-            said: now - STATUS,
-            before: (0, 0),
-        }
-    }
-
-    fn run(&mut self) {
-        loop {
-            let now = Instant::now();
-            let mut state = self.shared.state();
-            self.look(&mut state, now);
-            self.step(&mut state, now);
-            let status = self
-                .is_status_due(&state, now)
-                .then(|| self.shared.status(&state));
-            let act = self.next(&mut state, now);
-            if let Act::Wait(most) = act
-                && status.is_none()
-            {
-                let waited = self.shared.changed.wait_timeout(state, most);
-                drop(waited.unwrap_or_else(PoisonError::into_inner));
-                continue;
-            }
-            drop(state);
-            if let Some(status) = status {
-                self.say(&status);
-            }
-            match act {
-                Act::Send(stamp, frame) => self.send(stamp, &frame),
-                Act::Answer(asked) => self.begin(*asked),
-                Act::GoOn => self.go_on(),
-                Act::Wait(_) => {}
-                Act::End => {
-                    let status = self.shared.status(&self.shared.state());
-                    self.say(&status);
-                    return;
-                }
-            }
-        }
-    }
-
-    /// Looks whether there is a link.
-    fn look(&mut self, state: &mut State, now: Instant) {
-        if now.saturating_duration_since(self.looked) < LOOK {
-            return;
-        }
-        self.looked = now;
-        let is_there = self.shared.ends.get().is_some()
-            && self.shared.client.get().is_some_and(Client::is_connected);
-        match state.down {
-            Some(since) if is_there => {
-                // The time before the first connection is no outage.
-                if state.outages > 0 {
-                    state.outages_us += now.saturating_duration_since(since).as_micros() as u64;
-                }
-                state.down = None;
-                state.store.link(true, now);
-                // Receivers see at once what they miss.
-                self.said = now - STATUS;
-            }
-            None if !is_there => {
-                state.down = Some(now);
-                state.outages += 1;
-                state.store.link(false, now);
-            }
-            _ => {}
-        }
-    }
-
-    /// Finds what the encoder may make.
-    fn step(&mut self, state: &mut State, now: Instant) {
-        let since = now.saturating_duration_since(self.stepped);
-        if since < STEP {
-            return;
-        }
-        self.stepped = now;
-        let per_s = |bytes: u64| (bytes as f64 / since.as_secs_f64()) as u64;
-        let (sent, made) = (
-            state.sent_bytes - self.before.0,
-            state.bytes - self.before.1,
-        );
-        self.before = (state.sent_bytes, state.bytes);
-        let waiting = match state.down {
-            // Without a link nothing is known of what it takes.
-            Some(_) => 0,
-            None => state.store.bytes_from(state.cursor),
-        };
-        state.governor.step(waiting, per_s(sent), per_s(made));
-        self.bucket.set_rate(state.allowed(), now);
-        let is_asked = !state.wishes.is_empty() || self.answering.is_some();
-        let budget = match state.budget() {
-            Some(budget) if is_asked => Some(budget - budget / AGAIN_PART),
-            budget => budget,
-        };
-        self.shared.encoder.set(budget);
-    }
-
-    fn is_status_due(&mut self, state: &State, now: Instant) -> bool {
-        let is_due = state.down.is_none() && now.saturating_duration_since(self.said) >= STATUS;
-        if is_due {
-            self.said = now;
-        }
-        is_due
-    }
-
-    fn next(&mut self, state: &mut State, now: Instant) -> Act {
-        if state.down.is_some() {
-            // What is made now is asked for later.
-            state.cursor = state.store.next();
-            self.answering = None;
-            state.wishes.clear();
-            return match state.ends {
-                Some(Ending { by, .. }) if now >= by => Act::End,
-                _ => Act::Wait(LOOK),
-            };
-        }
-        if state.cursor < state.store.next() {
-            let is_late = state.cursor < state.store.first_in_memory()
-                || state.store.bytes_from(state.cursor) > WAITING_MAX;
-            if is_late {
-                state.cursor = state.store.next() - 1;
-            }
-            let kept = state.store.get(self.shared.run, state.cursor);
-            state.cursor += 1;
-            if let Some(kept) = kept {
-                state.sent_bytes += kept.frame.len() as u64;
-                return Act::Send(kept.stamp, kept.frame);
-            }
-        }
-        if self.answering.is_some() || !state.wishes.is_empty() {
-            let wait = self.bucket.wait(now);
-            if !wait.is_zero() {
-                return Act::Wait(wait.min(SLEEP));
-            }
-            // A later wish of the same receiver takes the place of the one that is being met.
-            let is_renewed = self.answering.as_ref().is_some_and(|answering| {
-                let mut waiting = state.wishes.iter();
-                waiting.any(|(_, wish)| wish.receiver == answering.receiver)
-            });
-            if is_renewed {
-                self.answering = None;
-            }
-            if self.answering.is_some() {
-                return Act::GoOn;
-            }
-            if let Some(asked) = state.wishes.pop_front() {
-                return Act::Answer(Box::new(asked));
-            }
-        }
-        match state.ends {
-            // Who misses something asks within a moment of what was said last.
-            Some(Ending { asked, by }) => {
-                let latest = state.wished.map_or(asked, |wished| wished.max(asked));
-                state.is_quiet = now.saturating_duration_since(latest) >= QUIET;
-                match state.is_quiet || now >= by {
-                    true => Act::End,
-                    false => Act::Wait(LOOK),
-                }
-            }
-            None => Act::Wait(SLEEP),
-        }
-    }
-
-    fn say(&self, status: &Status) {
-        if let Some(ends) = self.shared.ends.get() {
-            // One that gets lost is followed by another.
-            let _ = ends.status.put(status.to_bytes()).wait();
-        }
-    }
-
-    fn send(&mut self, stamp: Stamp, frame: &[u8]) {
-        self.bucket.take(frame.len(), Instant::now());
-        if let Some(ends) = self.shared.ends.get() {
-            // What does not leave is asked for again.
-            let _ = ends.frames.put(frame).attachment(stamp.to_bytes()).wait();
-        }
-    }
-
-    fn begin(&mut self, (query, wish): (Query, Wish)) {
-        self.answering = Some(Answering {
-            query,
-            receiver: wish.receiver,
-            run: wish.run,
-            ranges: wish.ranges.into(),
-            answer: Answer {
-                run: wish.run,
-                gone: Vec::new(),
-            },
-            bytes: 0,
-        });
-    }
-
-    /// Sends one more frame that is asked for, or says what is gone.
-    fn go_on(&mut self) {
-        let Some(answering) = &mut self.answering else {
-            return;
-        };
-        let kept = {
-            let mut state = self.shared.state();
-            let kept = answering.next(&mut state.store, self.shared.run);
-            state.again += u64::from(kept.is_some());
-            kept
-        };
-        let key = self.shared.name.key(Kind::Again);
-        match kept {
-            Some((stamp, frame)) => {
-                self.bucket.take(frame.len(), Instant::now());
-                let reply = answering.query.reply(key, &frame[..]);
-                // What does not leave is asked for once more.
-                let _ = reply.attachment(stamp.to_bytes()).wait();
-            }
-            None => {
-                let reply = answering.query.reply(key, answering.answer.to_bytes());
-                let _ = reply.wait();
-                self.answering = None;
-            }
-        }
-    }
-}
-
-impl Answering {
-    /// The next frame that is asked for and held; what is not is noted.
-    fn next(&mut self, store: &mut Store, own_run: u64) -> Option<(Stamp, Arc<[u8]>)> {
-        while self.bytes < ANSWER_BYTES {
-            let range = self.ranges.front_mut()?;
-            // What was not made yet is not gone.
-            let to = match self.run == own_run {
-                true => range.to.min(store.next()),
-                false => range.to,
-            };
-            if range.from >= to {
-                self.ranges.pop_front();
-                continue;
-            }
-            let held = store.next_held(self.run, range.from).unwrap_or(to).min(to);
-            if held > range.from {
-                let from = range.from;
-                range.from = held;
-                self.answer.gone.push(Range { from, to: held });
-                continue;
-            }
-            range.from += 1;
-            match store.get(self.run, held) {
-                Some(kept) => {
-                    self.bytes += kept.frame.len();
-                    return Some((kept.stamp, kept.frame));
-                }
-                // It is there, and cannot be read.
-                None => self.answer.gone.push(Range {
-                    from: held,
-                    to: held + 1,
-                }),
-            }
-        }
-        None
     }
 }

@@ -1,0 +1,370 @@
+//! The thread that takes what came: it counts, delivers, asks for what is missing, and gives up what does not come.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use eecvs_nostd::Frame;
+
+use super::ask::ask;
+use super::sensor::{Asking, Joined, RUNS_MAX, Sensor};
+use super::{Came, Deliver, Delivered, Report, SENSORS_MAX, SensorReport, Shared, lock};
+use crate::key::Name;
+use crate::latency::Latencies;
+use crate::link::Client;
+use crate::message::{RANGES_MAX, Range, Stamp, Wish};
+
+/// How often what is missing is asked for.
+const WISH: Duration = Duration::from_millis(50);
+
+/// The thread that takes what came.
+pub(super) struct Taking {
+    pub(super) shared: Arc<Shared>,
+    pub(super) client: Client,
+    pub(super) sensors: BTreeMap<Name, Sensor>,
+    pub(super) deliver: Deliver,
+    /// Bytes that wait for others before them.
+    pub(super) held_bytes: usize,
+    pub(super) wishes: u64,
+    pub(super) is_down: bool,
+    pub(super) outages: u64,
+}
+
+impl Taking {
+    pub(super) fn run(mut self) -> Result<()> {
+        let mut wished = Instant::now();
+        let mut told = Instant::now();
+        loop {
+            let is_stopped = self.shared.stop.load(Ordering::Relaxed);
+            let batch = self.wait(is_stopped);
+            for came in batch {
+                self.take(came)?;
+            }
+            let now = Instant::now();
+            if now.saturating_duration_since(wished) >= WISH {
+                wished = now;
+                self.look();
+                self.wish();
+                self.give_up(now)?;
+            }
+            if is_stopped {
+                self.end()?;
+                self.tell();
+                return Ok(());
+            }
+            if now.saturating_duration_since(told) >= 4 * WISH {
+                told = now;
+                self.tell();
+            }
+        }
+    }
+
+    /// What has come, a batch of it; nothing for a moment, where nothing has.
+    fn wait(&self, is_stopped: bool) -> VecDeque<Came> {
+        let mut inbox = lock(&self.shared.inbox);
+        if inbox.waiting.is_empty() && !is_stopped {
+            let waited = self.shared.changed.wait_timeout(inbox, WISH);
+            inbox = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        inbox.bytes = 0;
+        std::mem::take(&mut inbox.waiting)
+    }
+
+    fn take(&mut self, came: Came) -> Result<()> {
+        let (Came::Frame { name, .. }
+        | Came::NoRoom { name, .. }
+        | Came::Status(name, _)
+        | Came::Gone(name, _)
+        | Came::Answered(name, _)
+        | Came::Malformed(name)) = &came;
+        let name = name.clone();
+        if !self.sensors.contains_key(&name) && self.sensors.len() >= SENSORS_MAX {
+            lock(&self.shared.inbox).refused += 1;
+            return Ok(());
+        }
+        let sensor = self.sensors.entry(name.clone()).or_insert_with(|| Sensor {
+            report: SensorReport {
+                name: name.to_string(),
+                ..SensorReport::default()
+            },
+            ..Sensor::default()
+        });
+        let options = &self.shared.options;
+        let joined = Joined {
+            from_start: options.from_start,
+            started_us: self.shared.started_us,
+        };
+        match came {
+            Came::Malformed(_) => sensor.report.malformed += 1,
+            Came::Answered(_, wish) => {
+                if sensor.asking.wish == Some(wish) {
+                    sensor.asking.wish = None;
+                }
+            }
+            Came::NoRoom { stamp, .. } => {
+                if let Some(run) = sensor.run(stamp.run, stamp.number, joined) {
+                    run.until(stamp.number.saturating_add(1));
+                }
+            }
+            Came::Status(_, status) => {
+                if let Some(run) = sensor.run(status.run, status.next, joined) {
+                    run.until(status.next);
+                }
+                for (number, range) in status.held {
+                    // Of what was there before this receiver, only where it is asked for.
+                    let is_known = sensor.runs.contains_key(&number);
+                    if number < status.run && (is_known || joined.is_whole(number)) {
+                        let from = if joined.from_start { range.from } else { 0 };
+                        if let Some(run) = sensor.run(number, from, joined) {
+                            run.until(range.to);
+                        }
+                    }
+                }
+            }
+            Came::Gone(_, answer) => {
+                sensor.asking.hear();
+                if let Some(run) = sensor.runs.get_mut(&answer.run) {
+                    for range in &answer.gone {
+                        sensor.report.lost += run.numbers.give_up(*range);
+                    }
+                    self.settle(&name)?;
+                }
+            }
+            Came::Frame {
+                stamp,
+                frame,
+                at_us,
+                is_again,
+                ..
+            } => {
+                return self.frame(&name, stamp, frame, at_us, is_again);
+            }
+        }
+        Ok(())
+    }
+
+    fn frame(
+        &mut self,
+        name: &Name,
+        stamp: Stamp,
+        frame: Vec<u8>,
+        at_us: u64,
+        is_again: bool,
+    ) -> Result<()> {
+        let options = &self.shared.options;
+        let joined = Joined {
+            from_start: options.from_start,
+            started_us: self.shared.started_us,
+        };
+        let Some(sensor) = self.sensors.get_mut(name) else {
+            return Ok(());
+        };
+        // A damaged one has not come: it is asked for again.
+        let Ok(parsed) = Frame::parse(&frame) else {
+            sensor.report.damaged += 1;
+            return Ok(());
+        };
+        let events = parsed.header.events;
+        let is_full = self.held_bytes + frame.len() > options.waiting_bytes;
+        let (is_new, is_behind) = match sensor.run(stamp.run, stamp.number, joined) {
+            None => (false, false),
+            Some(run) => {
+                let is_behind =
+                    !options.as_they_come && is_full && stamp.number != run.numbers.settled();
+                // It would have to wait for others, and finds no room: it is asked for when these have come.
+                if is_behind {
+                    run.until(stamp.number.saturating_add(1));
+                }
+                (!is_behind && run.take(stamp.number), is_behind)
+            }
+        };
+        if is_behind {
+            lock(&self.shared.inbox).no_room += 1;
+            return Ok(());
+        }
+        if !is_new {
+            sensor.report.needless += 1;
+            return Ok(());
+        }
+        sensor.report.frames += 1;
+        sensor.report.bytes += frame.len() as u64;
+        sensor.report.events += u64::from(events);
+        if is_again {
+            sensor.report.again += 1;
+            sensor.asking.hear();
+        } else {
+            sensor.delays.add(at_us as i64 - stamp.end_us as i64);
+        }
+        if options.as_they_come {
+            return (self.deliver)(Delivered {
+                name,
+                stamp,
+                frame: &frame,
+            });
+        }
+        self.held_bytes += frame.len();
+        if let Some(run) = sensor.runs.get_mut(&stamp.run) {
+            run.held.insert(stamp.number, (stamp, frame));
+        }
+        self.settle(name)
+    }
+
+    /// Delivers what waits for nothing any more: what is missing of a run comes before the next one.
+    fn settle(&mut self, name: &Name) -> Result<()> {
+        let Some(sensor) = self.sensors.get_mut(name) else {
+            return Ok(());
+        };
+        for run in sensor.runs.values_mut() {
+            let settled = run.numbers.settled();
+            while let Some(first) = run.held.first_entry() {
+                if *first.key() >= settled {
+                    break;
+                }
+                let (stamp, frame) = first.remove();
+                self.held_bytes -= frame.len();
+                (self.deliver)(Delivered {
+                    name,
+                    stamp,
+                    frame: &frame,
+                })?;
+            }
+            if run.numbers.missing() > 0 {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Looks whether there is a link.
+    fn look(&mut self) {
+        let is_down = !self.client.is_connected();
+        if is_down && !self.is_down {
+            self.outages += 1;
+        }
+        if is_down {
+            // Answers that are under way do not come.
+            for sensor in self.sensors.values_mut() {
+                sensor.asking = Asking::default();
+            }
+        }
+        self.is_down = is_down;
+    }
+
+    /// Asks every sensor for what is missing of its oldest run of which something is.
+    fn wish(&mut self) {
+        let Some(session) = self.client.session() else {
+            return;
+        };
+        if self.is_down {
+            return;
+        }
+        let zid = session.zid().to_le_bytes();
+        let receiver = zid.first_chunk().map_or(0, |zid| u64::from_le_bytes(*zid));
+        for (name, sensor) in &mut self.sensors {
+            if !sensor.asking.is_due() {
+                continue;
+            }
+            let missing = sensor
+                .runs
+                .iter()
+                .find(|(_, run)| run.numbers.missing() > 0 && run.progress.elapsed() >= WISH);
+            let Some((&run, missing)) = missing else {
+                continue;
+            };
+            let ranges = missing.numbers.gaps(RANGES_MAX);
+            self.wishes += 1;
+            sensor.asking.ask(self.wishes);
+            let wish = Wish {
+                receiver,
+                run,
+                ranges,
+            };
+            // One that cannot be sent now is sent later.
+            let _ = ask(&self.shared, session, name, self.wishes, &wish);
+        }
+    }
+
+    /// What does not come for too long is lost.
+    fn give_up(&mut self, now: Instant) -> Result<()> {
+        let patience = self.shared.options.patience;
+        let mut given_up = Vec::new();
+        for (name, sensor) in &mut self.sensors {
+            let newest = sensor.runs.keys().next_back().copied();
+            let many = sensor.runs.len() > RUNS_MAX;
+            for (index, run) in sensor.runs.values_mut().enumerate() {
+                let is_old = now.saturating_duration_since(run.progress) >= patience;
+                if run.numbers.missing() > 0 && (is_old || (many && index == 0)) {
+                    let all = Range {
+                        from: 0,
+                        to: run.numbers.next(),
+                    };
+                    sensor.report.lost += run.numbers.give_up(all);
+                    given_up.push(name.clone());
+                }
+            }
+            // A run that is over, and of which nothing is missing, is forgotten with the next but one.
+            if many
+                && let Some(mut first) = sensor.runs.first_entry()
+                && Some(*first.key()) != newest
+                && first.get_mut().held.is_empty()
+                && first.get().numbers.missing() == 0
+            {
+                first.remove();
+            }
+        }
+        for name in given_up {
+            self.settle(&name)?;
+        }
+        Ok(())
+    }
+
+    /// No more comes: what waits for others is delivered without them.
+    fn end(&mut self) -> Result<()> {
+        let names: Vec<Name> = self.sensors.keys().cloned().collect();
+        for name in names {
+            let Some(sensor) = self.sensors.get_mut(&name) else {
+                continue;
+            };
+            for run in sensor.runs.values_mut() {
+                let all = Range {
+                    from: 0,
+                    to: run.numbers.next(),
+                };
+                sensor.report.lost += run.numbers.give_up(all);
+            }
+            self.settle(&name)?;
+        }
+        Ok(())
+    }
+
+    fn tell(&mut self) {
+        let (no_room, refused) = {
+            let inbox = lock(&self.shared.inbox);
+            (inbox.no_room, inbox.refused)
+        };
+        let mut delays = Latencies::default();
+        let sensors = self.sensors.values_mut().map(|sensor| {
+            delays.merge(&sensor.delays);
+            let report = &mut sensor.report;
+            report.missing = sensor.runs.values().map(|run| run.numbers.missing()).sum();
+            let delays = sensor.delays.quantiles();
+            (
+                report.delay_p50_ms,
+                report.delay_p99_ms,
+                report.delay_max_ms,
+            ) = (delays.p50_ms, delays.p99_ms, delays.max_ms);
+            report.clone()
+        });
+        let sensors: Vec<SensorReport> = sensors.collect();
+        let report = Report {
+            sensors,
+            no_room,
+            refused,
+            outages: self.outages,
+            delays,
+        };
+        *lock(&self.shared.report) = report;
+    }
+}
