@@ -412,7 +412,7 @@ fn the_page_is_whole_at_both_widths() {
         let summary = browser.run("['connected', 'known', 'routers', 'receivers', 'said'].map(id => document.getElementById(id).textContent)");
         assert_eq!(
             summary,
-            json!(["11", "of 12 known", "2", "17 receivers linked", "● live"])
+            json!(["11", "of 12 known", "2", "receivers linked: 17", "● live"])
         );
         for of in ["events", "bytes", "missing"] {
             let shown = browser.run(&format!("document.getElementById('{of}').textContent"));

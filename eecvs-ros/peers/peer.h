@@ -2,7 +2,7 @@
 // (without `cdr_sha256` and `bytes`).
 //
 //   PEER listen TYPE TOPIC [--count N] [--seconds S]
-//   PEER talk   TYPE TOPIC [--count N] [--seconds S] [--rate HZ] [--bytes B] [--seed X]
+//   PEER talk   TYPE TOPIC [--count N] [--seconds S] [--rate HZ] [--bytes B] [--seed X] [--leave-out R --of N]
 //
 // TYPE is event_camera_msgs/msg/EventPacket or eecvs_msgs/msg/Frame; TOPIC is named as in ROS 2 (/events). Best
 // effort, the last 1000 messages are kept, loopback alone; ROS_DOMAIN_ID is the domain.
@@ -26,6 +26,7 @@ struct options {
     double seconds, rate;
     size_t bytes;
     unsigned seed, domain;
+    uint64_t leave_out, of;
 };
 
 // An EventPacket or a Frame.
@@ -56,7 +57,7 @@ static inline void nap(double seconds) {
 static inline struct options parse(int argc, char **argv) {
     struct options o;
     memset(&o, 0, sizeof o);
-    o.count = 100, o.seconds = 20, o.rate = 100, o.bytes = 50000, o.seed = 1;
+    o.count = 100, o.seconds = 20, o.rate = 100, o.bytes = 50000, o.seed = 1, o.of = 1;
     bool right = argc >= 4 && argc % 2 == 0 && (!strcmp(argv[1], "talk") || !strcmp(argv[1], "listen"));
     if (right) {
         o.talk = !strcmp(argv[1], "talk");
@@ -72,10 +73,13 @@ static inline struct options parse(int argc, char **argv) {
         else if (!strcmp(argv[i], "--rate")) o.rate = value;
         else if (!strcmp(argv[i], "--bytes")) o.bytes = (size_t)value;
         else if (!strcmp(argv[i], "--seed")) o.seed = (unsigned)value;
+        else if (!strcmp(argv[i], "--leave-out")) o.leave_out = (uint64_t)value;
+        else if (!strcmp(argv[i], "--of")) o.of = (uint64_t)value;
         else right = false;
     }
-    if (!right) {
-        fprintf(stderr, "usage: %s listen|talk TYPE TOPIC [--count N] [--seconds S] [--rate HZ] [--bytes B] [--seed X]\n", argv[0]);
+    if (!right || o.of == 0) {
+        fprintf(stderr, "usage: %s listen|talk TYPE TOPIC [--count N] [--seconds S] [--rate HZ] [--bytes B] [--seed X] [--leave-out R --of N]\n",
+                argv[0]);
         exit(2);
     }
     const char *domain = getenv("ROS_DOMAIN_ID");
@@ -83,6 +87,9 @@ static inline struct options parse(int argc, char **argv) {
     setvbuf(stdout, NULL, _IOLBF, 0);
     return o;
 }
+
+// Whether a number is never published: of every N of them, the last R are not.
+static inline bool is_left_out(const struct options *o, uint64_t index) { return index % o->of + o->leave_out >= o->of; }
 
 // The content of a message; `data` has room for the bytes, `frame_id` for 32.
 static inline struct message fill(const struct options *o, uint64_t index, uint8_t *data, char *frame_id) {
@@ -181,26 +188,38 @@ static inline void say(const char *what, uint64_t index, const struct options *o
     printf(": {\"length\": %zu, \"sha256\": \"%s\"}}}\n", m->length, hex);
 }
 
-// What was received so far.
+// What was received so far: every number in the order of its coming.
 struct tally {
-    uint64_t received, first, last, highest, disordered;
+    uint64_t received, disordered, room, *numbers;
 };
 
 static inline void take(struct tally *t, const struct options *o, const struct message *m) {
     say("received", t->received, o, m);
-    if (!t->received) t->first = t->highest = m->seq;
-    else if (m->seq <= t->last) t->disordered++;
-    if (m->seq > t->highest) t->highest = m->seq;
-    t->last = m->seq;
-    t->received++;
+    if (t->received && m->seq <= t->numbers[t->received - 1]) t->disordered++;
+    if (t->received == t->room) {
+        t->room = t->room ? 2 * t->room : 1024;
+        t->numbers = (uint64_t *)realloc(t->numbers, t->room * sizeof *t->numbers);
+        if (!t->numbers) abort();
+    }
+    t->numbers[t->received++] = m->seq;
 }
 
-static inline void say_received(const struct tally *t) {
+static inline int compare(const void *a, const void *b) {
+    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
+    return (x > y) - (x < y);
+}
+
+static inline void say_received(struct tally *t) {
     if (!t->received) {
-        printf("{\"summary\": {\"received\": 0, \"first\": null, \"last\": null, \"lost\": 0, \"disordered\": 0}}\n");
+        printf("{\"summary\": {\"received\": 0, \"first\": null, \"last\": null, \"lost\": [], \"disordered\": 0}}\n");
         return;
     }
-    printf("{\"summary\": {\"received\": %" PRIu64 ", \"first\": %" PRIu64 ", \"last\": %" PRIu64 ", \"lost\": %" PRId64
-           ", \"disordered\": %" PRIu64 "}}\n", t->received, t->first, t->last,
-           (int64_t)(t->highest - t->first + 1 - t->received), t->disordered);
+    printf("{\"summary\": {\"received\": %" PRIu64 ", \"first\": %" PRIu64 ", \"last\": %" PRIu64 ", \"disordered\": %" PRIu64
+           ", \"lost\": [", t->received, t->numbers[0], t->numbers[t->received - 1], t->disordered);
+    qsort(t->numbers, t->received, sizeof *t->numbers, compare);
+    const char *between = "";
+    for (uint64_t i = 1; i < t->received; i++)
+        for (uint64_t lost = t->numbers[i - 1] + 1; lost < t->numbers[i]; lost++, between = ", ") printf("%s%" PRIu64, between, lost);
+    printf("]}}\n");
+    free(t->numbers);
 }

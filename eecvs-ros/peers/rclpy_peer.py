@@ -8,10 +8,12 @@
 listen  {"ready"}, a line for each message: {"received": i, "time_ns", "bytes", "cdr_sha256", "seq", "message"},
         and {"summary": {"received", "first", "last", "lost", "disordered"}}. `cdr_sha256` is of the message that
         was read, serialised again; `time_ns` is the host's time. Arrays of numbers are told by their
-        length and sha256 in little endian.
+        length and sha256 in little endian. `lost` are the numbers, `seq`, that have not come though others
+        before and behind them have.
 talk    {"ready"}, {"matched"} once a subscriber is there (status 1 if none comes), {"sent": i, ...} as above,
         and {"summary": {"sent"}}. No field of a message is left at its default. `--set width=640` sets one, and
-        `--file PATH` takes the bytes of the messages from a file, from its start to its end.
+        `--file PATH` takes the bytes of the messages from a file, from its start to its end. With `--leave-out R
+        --of N`, of every N messages the last R are never published.
 graph   {"nodes", "topics", "services"} after some seconds, or once the topics of `--until` are there, as this
         node sees them, without this node.
 cdr     {"type", "hash", "messages": [{"cdr", "values"}]}: the serialisation in hexadecimal and all values of
@@ -222,7 +224,7 @@ def listen(options, node, spin):
         "received": received,
         "first": seqs[0] if seqs else None,
         "last": seqs[-1] if seqs else None,
-        "lost": max(seqs) - min(seqs) + 1 - len(set(seqs)) if seqs else 0,
+        "lost": sorted(set(range(min(seqs), max(seqs))) - set(seqs)) if seqs else [],
         "disordered": sum(b <= a for a, b in zip(seqs, seqs[1:])),
     })
 
@@ -240,6 +242,8 @@ def talk(options, node, spin):
     start = time.monotonic()
     sent = 0
     for index in range(options.count):
+        if index % options.of + options.leave_out >= options.of:
+            continue
         message = Filler(index, options.bytes, options.seed).message(load(options.type)())
         if content is not None:
             part = content[index * options.bytes:(index + 1) * options.bytes]
@@ -330,6 +334,8 @@ def main():
             command.add_argument("--settle", type=float, default=1, help="seconds from the match to the first message")
             command.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
             command.add_argument("--file")
+            command.add_argument("--leave-out", type=int, default=0, metavar="R")
+            command.add_argument("--of", type=int, default=1, metavar="N")
     command = commands.add_parser("graph")
     command.add_argument("--seconds", type=float, default=5)
     command.add_argument("--until", nargs="*", metavar="TOPIC", help="no longer than until these are seen, and a second")

@@ -20,7 +20,7 @@ use crate::operator::{Operator, Operators};
 use crate::transport::Transport;
 use crate::transport::dds::Dds;
 use crate::transport::local::Local;
-use crate::transport::zenoh::{Links, ROUTER, Router, Zenoh};
+use crate::transport::zenoh::{Links, ROUTER, Router, Zenoh, have_threads};
 
 /// ROS 2 nodes around the encoder; flags may also be given as parameters, behind --ros-args: -p NAME:=VALUE,
 /// -r FROM:=TO, --params-file FILE
@@ -123,8 +123,9 @@ struct Compose {
     nodes: Vec<String>,
 }
 
-/// The command, with operators beside ours.
+/// The command, with operators beside ours. It is called before a program does anything else.
 pub fn run(operators: Vec<Box<dyn Operator>>) -> ExitCode {
+    have_threads();
     let operators = Arc::new(Operators::new(operators));
     end("eecvs-ros", start(&operators))
 }

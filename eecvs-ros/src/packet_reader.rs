@@ -15,7 +15,7 @@ use host_harness::formats::ros::message_events::MessageEvents;
 use host_harness::formats::{BATCH_EVENTS, EventReader, Pause, Skipped};
 use usb_bridge::stop::Stop;
 
-use crate::message::Time;
+use crate::message::{EventPacket, Message, Time, sequence_of};
 use crate::sequence::Sequence;
 use crate::transport::Subscription;
 
@@ -43,6 +43,14 @@ pub struct Received {
 }
 
 impl Received {
+    /// Counts a message that has come, whether it can be read or not: what is left out is not lost.
+    fn count(&mut self, cdr: &[u8]) {
+        self.packets += 1;
+        if let Some(number) = sequence_of(EventPacket::TYPE, cdr) {
+            self.sequence.follow(number);
+        }
+    }
+
     /// The computer's time at a time of the sensor: between the stamps of the latest two messages where it lies
     /// between their events, or as far behind the latest one as the sensor's time goes on.
     #[must_use]
@@ -149,7 +157,7 @@ impl PacketReader {
             let Some(cdr) = subscription.take(WAIT)? else {
                 continue;
             };
-            received.packets += 1;
+            received.count(&cdr);
             let (head, sensor) = match begin(&cdr).map(|head| (sensor(&head), head)) {
                 Ok((Some(sensor), head)) => (head, sensor),
                 _ => {
@@ -157,7 +165,6 @@ impl PacketReader {
                     continue;
                 }
             };
-            received.sequence.follow(head.sequence);
             let mut reader = Self {
                 subscription,
                 stop: stop.clone(),
@@ -201,14 +208,8 @@ impl PacketReader {
         let Some(cdr) = self.subscription.take(WAIT)? else {
             return Ok(());
         };
-        let head = begin(&cdr);
-        let mut received = lock(&self.received);
-        received.packets += 1;
-        if let Ok(head) = &head {
-            received.sequence.follow(head.sequence);
-        }
-        drop(received);
-        match head {
+        lock(&self.received).count(&cdr);
+        match begin(&cdr) {
             Err(why) => self.refuse(why),
             Ok(head) if (head.width, head.height) != self.told => {
                 let (width, height) = self.told;
@@ -293,7 +294,48 @@ impl EventReader for PacketReader {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::VecDeque;
+
     use super::*;
+    use crate::message::to_cdr;
+
+    /// Messages that have come.
+    struct Come(VecDeque<Vec<u8>>);
+
+    impl Subscription for Come {
+        fn take(&mut self, _: Duration) -> Result<Option<Vec<u8>>> {
+            Ok(self.0.pop_front())
+        }
+
+        fn publishers(&self) -> usize {
+            1
+        }
+    }
+
+    #[test]
+    fn what_is_left_out_is_not_lost() {
+        let packet = |seq: u64| EventPacket {
+            seq,
+            height: 720,
+            width: 1280,
+            encoding: "evt3".to_owned(),
+            // No decoder takes it.
+            is_bigendian: seq.is_multiple_of(2),
+            ..EventPacket::default()
+        };
+        let numbers = [0, 1, 2, 4, 6, 7, 10];
+        let come = numbers.map(|seq| to_cdr(&packet(seq)));
+        let subscription = Box::new(Come(come.into()));
+        let reader = PacketReader::begin(subscription, &Stop::default(), None).unwrap();
+        let mut reader = reader.unwrap();
+        let mut events = Vec::new();
+        for _ in 0..10 {
+            reader.read(&mut events).unwrap();
+        }
+        let received = look(&reader.watch());
+        assert_eq!((received.packets, received.refused), (7, 5));
+        assert_eq!(received.sequence.lost, 4);
+    }
 
     #[test]
     fn stamps_lie_between_those_of_messages() {

@@ -10,6 +10,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use again::again;
+use eecvs_ros::bag::{Storage, Topic, Writer};
 use eecvs_ros::message::{EventPacket, Frame, Header, Message, TYPES, Time, Type, to_cdr};
 use eecvs_ros::names::NodeName;
 use eecvs_ros::transport::dds::Dds;
@@ -38,6 +39,24 @@ fn rclpy(folder: &Path) -> Command {
         .arg("python")
         .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/peers/rclpy_peer.py"));
     command
+}
+
+/// A peer that is one program; `None`, and a line that says so, without it.
+fn program(name: &str, what: &str) -> Option<PathBuf> {
+    let peer = folder()?.join(name);
+    if !peer.exists() {
+        eprintln!("skipped: {what}: it is not there");
+        return None;
+    }
+    Some(peer)
+}
+
+fn fast_dds() -> Option<PathBuf> {
+    program("fastdds_peer", "Fast DDS in C++")
+}
+
+fn cyclone() -> Option<PathBuf> {
+    program("cyclone_peer", "Cyclone DDS in C")
 }
 
 /// The lines of JSON that a peer has printed.
@@ -84,6 +103,124 @@ fn relay(peer: impl Fn() -> Command, domain: u16, kind: Type) {
     assert!(sent == back, "{}: {sent:?}\n{back:?}", kind.name);
 }
 
+/// Numbers that are never published: of every `of`, the last `leave_out`.
+#[derive(Clone, Copy)]
+struct Gaps {
+    leave_out: u64,
+    of: u64,
+}
+
+/// Numbers, of which the first and the last are published: what is missing at an end is not known to be missing.
+const NUMBERS: u64 = 75;
+
+impl Gaps {
+    fn has(self, number: u64) -> bool {
+        number % self.of >= self.of - self.leave_out
+    }
+
+    fn numbers(self) -> Vec<u64> {
+        (0..NUMBERS).filter(|number| self.has(*number)).collect()
+    }
+}
+
+/// One number, and runs of them.
+const GAPS: [Gaps; 2] = [
+    Gaps {
+        leave_out: 1,
+        of: 7,
+    },
+    Gaps {
+        leave_out: 3,
+        of: 10,
+    },
+];
+
+const TOPIC: &str = "/event_camera/events";
+
+/// Nodes count what a peer has left out.
+fn count_losses_of(peer: impl Fn() -> Command, domain: u16) {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, gaps) in GAPS.into_iter().enumerate() {
+        let bag = folder.path().join(format!("bag{number}"));
+        let arguments: [&[&str]; 2] = [
+            &["encode"],
+            &[
+                "record",
+                "-o",
+                bag.to_str().unwrap(),
+                "--topic",
+                "events:event_camera_msgs/msg/EventPacket",
+            ],
+        ];
+        let came = NUMBERS - gaps.numbers().len() as u64;
+        let lost = gaps.numbers().len();
+        let told = [
+            format!(" events of {came} messages ({lost} lost, "),
+            format!("{TOPIC}: {came} messages, {lost} lost"),
+        ];
+        // One at a time: the peer begins once one subscriber is there.
+        for (arguments, told) in arguments.into_iter().zip(told) {
+            let node = Program::eecvs_ros(domain, arguments);
+            let mut command = peer();
+            let more = format!(
+                "--count {NUMBERS} --seconds 40 --bytes 1000 --leave-out {} --of {}",
+                gaps.leave_out, gaps.of
+            );
+            command
+                .args(["talk", EventPacket::TYPE.name, TOPIC])
+                .args(more.split(' '));
+            let (said, _) = Program::start("talk", domain, command).finish(PATIENCE);
+            let summary = &lines(&said).pop().unwrap()["summary"];
+            assert_eq!(summary["sent"], came);
+            node.terminate();
+            let (_, said) = node.finish(PATIENCE);
+            assert!(said.contains(&told), "no {told:?} in: {said}");
+        }
+    }
+}
+
+/// A peer tells the numbers that a bag lacks.
+fn have_losses_counted(peer: impl Fn() -> Command, domain: u16) {
+    let folder = tempfile::tempdir().unwrap();
+    for (number, gaps) in GAPS.into_iter().enumerate() {
+        let bag = folder.path().join(format!("bag{number}"));
+        let topic = Topic {
+            name: TOPIC.to_owned(),
+            kind: EventPacket::TYPE.name.to_owned(),
+        };
+        let mut writer =
+            Writer::create(&bag, Storage::Mcap, vec![(topic, EventPacket::TYPE)]).unwrap();
+        let published = (0..NUMBERS).filter(|number| !gaps.has(*number));
+        for number in published.clone() {
+            let packet = EventPacket {
+                seq: number,
+                height: 720,
+                width: 1280,
+                encoding: "evt3".to_owned(),
+                events: vec![0; 1000],
+                ..EventPacket::default()
+            };
+            // 100 Hz.
+            let time_ns = number * 10_000_000;
+            writer.message(0, time_ns, &to_cdr(&packet)).unwrap();
+        }
+        writer.finish().unwrap();
+        let count = published.count().to_string();
+        let mut command = peer();
+        command
+            .args(["listen", EventPacket::TYPE.name, TOPIC])
+            .args(["--seconds", "45", "--count", &count]);
+        let listener = Program::start("listen", domain, command);
+        let play = ["play", bag.to_str().unwrap(), "--wait-s", "40"];
+        Program::eecvs_ros(domain, &play).finish(PATIENCE);
+        let said = lines(&listener.finish(PATIENCE).0).pop().unwrap();
+        let summary = &said["summary"];
+        assert_eq!(summary["lost"], serde_json::json!(gaps.numbers()), "{said}");
+        assert_eq!(summary["first"], 0, "{said}");
+        assert_eq!(summary["last"], NUMBERS - 1, "{said}");
+    }
+}
+
 #[test]
 fn types_have_the_hashes_of_ros() {
     let Some(folder) = folder() else { return };
@@ -107,12 +244,7 @@ fn every_type_passes_to_ros_and_back() {
 
 #[test]
 fn packets_and_frames_pass_to_fast_dds_and_back() {
-    let Some(folder) = folder() else { return };
-    let peer = folder.join("fastdds_peer");
-    if !peer.exists() {
-        eprintln!("skipped: Fast DDS in C++: it is not there");
-        return;
-    }
+    let Some(peer) = fast_dds() else { return };
     for (number, kind) in (0..).zip([EventPacket::TYPE, Frame::TYPE]) {
         relay(|| Command::new(&peer), 80 + number, kind);
     }
@@ -120,15 +252,46 @@ fn packets_and_frames_pass_to_fast_dds_and_back() {
 
 #[test]
 fn packets_and_frames_pass_to_cyclone_and_back() {
-    let Some(folder) = folder() else { return };
-    let peer = folder.join("cyclone_peer");
-    if !peer.exists() {
-        eprintln!("skipped: Cyclone DDS in C: it is not there");
-        return;
-    }
+    let Some(peer) = cyclone() else { return };
     for (number, kind) in (0..).zip([EventPacket::TYPE, Frame::TYPE]) {
         relay(|| Command::new(&peer), 85 + number, kind);
     }
+}
+
+#[test]
+fn what_ros_has_left_out_is_counted() {
+    let Some(folder) = folder() else { return };
+    count_losses_of(|| rclpy(&folder), 76);
+}
+
+#[test]
+fn ros_counts_what_we_have_left_out() {
+    let Some(folder) = folder() else { return };
+    have_losses_counted(|| rclpy(&folder), 77);
+}
+
+#[test]
+fn what_fast_dds_has_left_out_is_counted() {
+    let Some(peer) = fast_dds() else { return };
+    count_losses_of(|| Command::new(&peer), 82);
+}
+
+#[test]
+fn fast_dds_counts_what_we_have_left_out() {
+    let Some(peer) = fast_dds() else { return };
+    have_losses_counted(|| Command::new(&peer), 83);
+}
+
+#[test]
+fn what_cyclone_has_left_out_is_counted() {
+    let Some(peer) = cyclone() else { return };
+    count_losses_of(|| Command::new(&peer), 87);
+}
+
+#[test]
+fn cyclone_counts_what_we_have_left_out() {
+    let Some(peer) = cyclone() else { return };
+    have_losses_counted(|| Command::new(&peer), 88);
 }
 
 /// Nodes, topics, types and QoS are seen under the documented names.

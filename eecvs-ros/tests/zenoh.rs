@@ -14,7 +14,7 @@ use eecvs_ros::transport::graph::{key_of, tokens_of};
 use eecvs_ros::transport::zenoh::{Links, Router, Zenoh};
 use eecvs_ros::transport::{Qos, Transport};
 use pipeline::{Network, counted, scene, through_programs};
-use program::free_port;
+use program::{PATIENCE, Program, free_port};
 use zenoh::Wait;
 
 /// An endpoint of this computer at which nobody listens.
@@ -204,4 +204,42 @@ fn links_are_made_anew() {
     done.send(()).unwrap();
     sends.join().unwrap();
     drop(router);
+}
+
+/// More subscribers than Zenoh has threads by itself: closing the links to them takes a thread each for ten seconds.
+#[test]
+fn subscribers_that_hang_cost_no_messages_of_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("zenoh.json5");
+    // Links are given up soon; what is published before has filled them. Bursts find room, as by our own settings.
+    let settings = "{scouting: {multicast: {enabled: false}}, listen: {endpoints: [\"tcp/localhost:0\"]}, \
+                    transport: {link: {tx: {lease: 3000, queue: {size: {data: 16}}}}}}";
+    std::fs::write(&config, settings).unwrap();
+    let endpoint = free();
+    let links = Links {
+        listen: vec![endpoint.clone()],
+        ..Links::default()
+    };
+    let _router = Router::start(&links).unwrap();
+    let start = |node: &str| {
+        let mut arguments: Vec<&str> = node.split(' ').collect();
+        let config = config.to_str().unwrap();
+        arguments.extend(["--transport", "zenoh", "--connect", &endpoint]);
+        arguments.extend(["--zenoh-config", config]);
+        Program::eecvs_ros(8, &arguments)
+    };
+    let hang: Vec<Program> = (0..4).map(|_| start("decode")).collect();
+    let encode = start("encode --window-us 4000");
+    thread::sleep(Duration::from_secs(1));
+    let emulate = start("emulate --repeat --wait-s 20");
+    thread::sleep(Duration::from_secs(3));
+    hang.iter().for_each(Program::stop);
+    thread::sleep(Duration::from_secs(8));
+    emulate.terminate();
+    let (_, sent) = emulate.finish(PATIENCE);
+    thread::sleep(Duration::from_secs(1));
+    encode.terminate();
+    let (_, came) = encode.finish(PATIENCE);
+    assert!(came.contains(" messages (0 lost, "), "{sent}{came}");
+    drop(hang);
 }

@@ -229,7 +229,7 @@ const update = board => {
   const damaged = sum(row => row.losses.frames_damaged), malformed = board.malformed + sum(row => row.losses.malformed);
   write(at("damaged"), named([["damaged", damaged], ["not readable", malformed]]) || "none damaged");
   write(at("routers"), count(board.routers));
-  write(at("receivers"), `${count(board.receivers)} receivers linked`);
+  write(at("receivers"), `receivers linked: ${count(board.receivers)}`);
   let isNew = cards.size === 0;
   const names = new Set();
   for (const row of rows) {

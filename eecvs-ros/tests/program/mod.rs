@@ -55,8 +55,19 @@ impl Program {
     /// Asks it to end, by the signal of `kill`.
     #[allow(dead_code)]
     pub fn terminate(&self) {
+        self.signal("-TERM");
+    }
+
+    /// Stops it, as if its computer hung.
+    #[allow(dead_code)]
+    pub fn stop(&self) {
+        self.signal("-STOP");
+    }
+
+    #[allow(dead_code)]
+    fn signal(&self, signal: &str) {
         let id = self.child.id().to_string();
-        let status = Command::new("kill").args(["-TERM", &id]).status();
+        let status = Command::new("kill").args([signal, &id]).status();
         assert!(status.unwrap().success());
     }
 

@@ -19,4 +19,5 @@ pub mod options;
 pub mod output;
 pub mod report;
 mod stop;
+pub mod variable;
 pub mod view;

@@ -19,7 +19,8 @@ impl Budget {
 
     /// Holds from the next window on; less than the windows' headers take is raised to that.
     pub fn set(&self, bytes_per_second: Option<u32>) {
-        self.0.store(bytes_per_second.unwrap_or(0), Ordering::Relaxed);
+        self.0
+            .store(bytes_per_second.unwrap_or(0), Ordering::Relaxed);
     }
 
     /// What holds now.

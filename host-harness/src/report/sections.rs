@@ -7,8 +7,8 @@ use anyhow::{Context, Result};
 use super::marks::Marks;
 use super::study::tables;
 use super::{
-    demo, exact_times_table, keep_order_table, kernel_table, rate_control_table, rate_table,
-    read_speed_table, skip_table,
+    demo, exact_times_table, hub_load_table, keep_order_table, kernel_table, rate_control_table,
+    rate_table, read_speed_table, ros_delay_table, skip_table,
 };
 use crate::cmd::report;
 use crate::record_file::{RecordFile, read};
@@ -93,6 +93,16 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
             readme,
             read_speed_table::MARKS,
             read_speed_table::document(&read(folder, "read-speed")?.rows),
+        ),
+        section(
+            readme,
+            ros_delay_table::MARKS,
+            ros_delay_table::document(&read(folder, "ros-delay")?.rows),
+        ),
+        section(
+            readme,
+            hub_load_table::MARKS,
+            hub_load_table::document(&read(folder, "hub-load")?.rows),
         ),
         section(readme, report::MARKS, tables::document(&results)),
     ])
@@ -204,7 +214,41 @@ mod tests {
         assert_eq!([percent(least), percent(most)], [1.0, 15.0]);
     }
 
+    /// What the README says of delays in words.
+    #[test]
+    fn the_sentence_about_delays_is_of_its_record() {
+        let rows: Vec<ros_delay_table::Row> = read(&folder(), "ros-delay").unwrap().rows;
+        let readme = of_project("README.md");
+        let readme: Vec<&str> = readme.split_whitespace().collect();
+        assert!(readme.join(" ").contains(
+            "With windows of 4,000 and 8,000 us the median is below 2 ms and the 99th percentile below 5 ms; \
+             with windows of 32,768 us they are above 2 and below 10 ms"
+        ));
+        let measured: Vec<(&str, u32)> = rows
+            .iter()
+            .map(|row| (row.transport.as_str(), row.window_us))
+            .collect();
+        let all = ["dds", "zenoh"].map(|name| [4000, 8000, 32_768].map(|us| (name, us)));
+        assert_eq!(measured, all.concat());
+        for row in &rows {
+            assert!(row.events_per_s > 5e6, "{row:?}");
+            assert_eq!((row.packets_lost, row.frames_lost), (0, 0), "{row:?}");
+            let (p50, p99) = (row.delay_p50_ms, row.delay_p99_ms);
+            if row.window_us <= 8000 {
+                assert!(p50 < 2.0 && p99 < 5.0, "{row:?}");
+            } else {
+                assert!(p50 > 2.0 && p99 < 10.0, "{row:?}");
+            }
+        }
+    }
+
     /// What the README says of reading in words.
+    #[test]
+    fn nothing_is_lost_under_load() {
+        let rows: Vec<hub_load_table::Row> = read(&folder(), "hub-load").unwrap().rows;
+        assert_eq!((rows.len(), hub_load_table::failures(&rows)), (3, 0));
+    }
+
     #[test]
     fn the_sentence_about_reading_is_of_its_record() {
         let rows: Vec<read_speed_table::Row> = read(&folder(), "read-speed").unwrap().rows;

@@ -1,0 +1,194 @@
+//! What sensors at full load through a hub come to, as the README has it.
+
+use std::fmt::Write as _;
+
+use serde::{Deserialize, Serialize};
+
+use super::marks::Marks;
+
+/// Where the README has its table.
+pub const MARKS: Marks = Marks {
+    name: "hub load",
+    command: "host-harness/record.sh hub-load",
+};
+
+/// One run of `eecvs-hub/load.sh`, or of `eecvs-hub simulate`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "run", rename_all = "kebab-case")]
+pub enum Row {
+    /// Sensors, a hub and receivers as programs of their own.
+    Load {
+        /// Whether the hub was killed, and started again after 5 s.
+        killed: bool,
+        /// Programs that send.
+        sensors: u64,
+        /// Programs that receive.
+        receivers: u64,
+        /// How long they sent.
+        seconds: f64,
+        /// Events a second of all together.
+        events_per_s: f64,
+        /// Bytes of frames a second.
+        bytes_per_s: f64,
+        /// Whether every event is in a frame, at its exact time.
+        events_exact: bool,
+        /// Frames that were sent.
+        frames: u64,
+        /// Frames that receivers got, all together.
+        frames_received: u64,
+        /// Of these, frames that were asked for again.
+        frames_again: u64,
+        /// Frames that receivers gave up.
+        frames_lost: u64,
+        /// Median from a window's end to its frame's arrival, of the slowest.
+        delay_p50_ms: f64,
+        /// 99th percentile.
+        delay_p99_ms: f64,
+    },
+    /// All in one process.
+    Simulation {
+        /// Sensors.
+        sensors: u64,
+        /// Hubs.
+        hubs: u64,
+        /// Receivers.
+        receivers: u64,
+        /// How long they sent.
+        seconds: f64,
+        /// Events, all together.
+        events: u64,
+        /// Bytes of frames a second.
+        bytes_per_s: f64,
+        /// Frames that were to be received, all together.
+        expected: u64,
+        /// Frames that came as they were sent.
+        delivered: u64,
+        /// Of these, frames that were asked for again.
+        again: u64,
+        /// Frames that receivers gave up.
+        lost: u64,
+        /// Frames that came otherwise than they were sent.
+        wrong: u64,
+        /// Median from when a frame was due to its arrival.
+        delay_p50_ms: f64,
+        /// 99th percentile.
+        delay_p99_ms: f64,
+        /// Processor seconds per second.
+        cores: f64,
+        /// Most memory that was resident.
+        memory_peak_bytes: u64,
+    },
+}
+
+/// The README's table: a line for every run.
+#[must_use]
+pub fn document(rows: &[Row]) -> String {
+    let mut text = String::from(
+        "| | Mev/s | MB/s | frames to receive | received | asked for again | lost | delay, ms: median | 99th percentile |\n\
+         |---|---|---|---|---|---|---|---|---|\n",
+    );
+    for row in rows {
+        let _ = match row {
+            Row::Load {
+                killed,
+                sensors,
+                receivers,
+                events_per_s,
+                bytes_per_s,
+                frames,
+                frames_received,
+                frames_again,
+                frames_lost,
+                delay_p50_ms,
+                delay_p99_ms,
+                ..
+            } => writeln!(
+                text,
+                "| {sensors} sensors, {receivers} receivers{} | {:.1} | {:.1} | {} | {frames_received} | {frames_again} | \
+                 {frames_lost} | {delay_p50_ms:.1} | {delay_p99_ms:.1} |",
+                if *killed { ", hub killed for 5 s" } else { "" },
+                events_per_s / 1e6,
+                bytes_per_s / 1e6,
+                frames * receivers,
+            ),
+            Row::Simulation {
+                sensors,
+                hubs,
+                receivers,
+                seconds,
+                events,
+                bytes_per_s,
+                expected,
+                delivered,
+                again,
+                lost,
+                delay_p50_ms,
+                delay_p99_ms,
+                cores,
+                memory_peak_bytes,
+                ..
+            } => writeln!(
+                text,
+                "| {sensors} sensors, {hubs} hubs, {receivers} receivers in one process, a hub stopped for 5 s \
+                 ({cores:.1} cores, {} MB) | {:.1} | {:.1} | {expected} | {delivered} | {again} | {lost} | \
+                 {delay_p50_ms:.1} | {delay_p99_ms:.1} |",
+                memory_peak_bytes / 1_000_000,
+                *events as f64 / seconds / 1e6,
+                bytes_per_s / 1e6,
+            ),
+        };
+    }
+    text
+}
+
+/// Runs in which something was lost, was wrong, or was not exact.
+#[must_use]
+pub fn failures(rows: &[Row]) -> usize {
+    let is_whole = |row: &&Row| match row {
+        Row::Load {
+            receivers,
+            events_exact,
+            frames,
+            frames_received,
+            frames_lost,
+            ..
+        } => *events_exact && *frames_lost == 0 && *frames_received == frames * receivers,
+        Row::Simulation {
+            expected,
+            delivered,
+            lost,
+            wrong,
+            ..
+        } => delivered == expected && *lost == 0 && *wrong == 0,
+    };
+    rows.iter().filter(|row| !is_whole(row)).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_is_what_was_printed() {
+        let load = r#"{"run":"load","killed":true,"sensors":8,"receivers":3,"seconds":20.0,"events":7,"outages":8,
+            "events_per_s":16000000,"bytes_per_s":36300000,"events_exact":true,"frames":100,"frames_received":300,
+            "frames_again":40,"frames_lost":0,"delay_p50_ms":1.25,"delay_p99_ms":3.31}"#;
+        let simulation = r#"{"run":"simulation","sensors":1000,"hubs":10,"receivers":11,"seconds":30.0,
+            "events":108000000,"bytes_per_s":8200000.0,"expected":600,"delivered":599,"again":5,"lost":1,"wrong":0,
+            "delay_p50_ms":0.8,"delay_p99_ms":40.0,"cores":1.84,"memory_peak_bytes":660000000}"#;
+        let rows: Vec<Row> = [load, simulation]
+            .map(|row| serde_json::from_str(row).unwrap())
+            .to_vec();
+        let text = document(&rows);
+        let lines: Vec<&str> = text.lines().skip(2).collect();
+        assert_eq!(
+            lines,
+            [
+                "| 8 sensors, 3 receivers, hub killed for 5 s | 16.0 | 36.3 | 300 | 300 | 40 | 0 | 1.2 | 3.3 |",
+                "| 1000 sensors, 10 hubs, 11 receivers in one process, a hub stopped for 5 s (1.8 cores, 660 MB) | 3.6 \
+                 | 8.2 | 600 | 599 | 5 | 1 | 0.8 | 40.0 |",
+            ]
+        );
+        assert_eq!(failures(&rows), 1);
+    }
+}
