@@ -28,9 +28,12 @@ cargo build --release --quiet -p eecvs-hub
 program=$PWD/${CARGO_TARGET_DIR:-target}/release/eecvs-hub
 if [ -n "$record" ]; then
     model=$(sed -n 's/^model name[^:]*: *//p' /proc/cpuinfo | head -1)
-    rows=("$(eecvs-hub/load.sh 20 --json)" "$(eecvs-hub/load.sh 30 --kill --json)")
-    simulated=$("$program" simulate --json)
-    rows+=("{\"run\":\"simulation\",${simulated#\{}")
+    rows=()
+    for run in 20 "30 --kill"; do
+        # shellcheck disable=SC2086
+        rows+=("{\"load\":$(eecvs-hub/load.sh $run --json)}")
+    done
+    rows+=("{\"simulation\":$("$program" simulate --json)}")
     {
         echo "{\"date\":\"$(date -u +%F)\",\"machine\":\"${model:-$(uname -m)}, $(nproc) threads, linux\",\"version\":\"$("$program" --version | cut -d ' ' -f 2)\",\"rows\":["
         printf '%s\n' "${rows[@]}" | sed '$!s/$/,/'
@@ -89,7 +92,6 @@ received = [json.load(open(name)) for name in files[at + 1 :]]
 frames = {sensor["name"]: sensor["frames"] for sensor in sent}
 wall_s = max(sensor["wall_s"] for sensor in sent)
 row = {
-    "run": "load",
     "killed": killed != "",
     "sensors": len(sent),
     "receivers": len(received),
