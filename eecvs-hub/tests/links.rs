@@ -4,11 +4,13 @@
 mod fleet;
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
-use eecvs_hub::hub;
-use eecvs_hub::key::Kind;
-use eecvs_hub::link::Links;
+use eecvs_hub::key::{Kind, Name};
+use eecvs_hub::link::{Client, Links};
+use eecvs_hub::message::{Message as _, Status};
+use eecvs_hub::{downlink, hub};
 use eecvs_nostd::Coder;
 use fleet::{Fleet, assert_all, frames, garbage, port, send, until};
 use zenoh::Wait;
@@ -178,11 +180,7 @@ fn nobody_gets_or_sends_what_it_may_not() {
     // With a sensor's certificate nothing is heard, either.
     let sensor = fleet.receiver(0, "sensor-b", "**");
     let keys = others.keys("receiver-spy");
-    let spy = fleet.receiver_with(
-        0,
-        keys.to_str().unwrap(),
-        eecvs_hub::downlink::Options::default(),
-    );
+    let spy = fleet.receiver_with(0, keys.to_str().unwrap(), downlink::Options::default());
     own.connected();
     gone.connected();
     sensor.connected();
@@ -272,8 +270,8 @@ fn who_shows_nothing_gets_nothing() {
         keys: Some(fleet.keys("nobody")),
         ..fleet.links(0, "sensor-a")
     };
-    let options = eecvs_hub::downlink::Options::default();
-    let failed = eecvs_hub::downlink::Downlink::start(options, &links, Box::new(|_| Ok(())));
+    let options = downlink::Options::default();
+    let failed = downlink::Downlink::start(options, &links, Box::new(|_| Ok(())));
     let said = failed.err().unwrap().to_string();
     assert!(said.contains("ca.pem is not there"), "{said}");
 }
@@ -359,4 +357,65 @@ fn without_keys_links_are_plain() {
         ..links
     };
     assert!(hub::Hub::start(hub::Options::default(), &mixed, None).is_err());
+}
+
+/// What is missing is waited for as long as its sensor may still have it: while it is not heard, no time runs.
+#[test]
+fn only_a_sensor_that_is_heard_is_given_up() {
+    let endpoint = format!("tcp/127.0.0.1:{}", port());
+    let links = Links {
+        listen: vec![endpoint.clone()],
+        ..Links::default()
+    };
+    let _hub = hub::Hub::start(hub::Options::default(), &links, None).unwrap();
+    let links = Links {
+        connect: vec![endpoint],
+        ..Links::default()
+    };
+    let options = downlink::Options {
+        patience: Duration::from_secs(4),
+        ..downlink::Options::default()
+    };
+    let downlink = downlink::Downlink::start(options, &links, Box::new(|_| Ok(()))).unwrap();
+    until("a receiver is connected", || downlink.is_connected());
+    // One that says that there are frames, and gives nobody any.
+    let said: Arc<OnceLock<zenoh::Session>> = Arc::default();
+    let own = Arc::clone(&said);
+    let _client = Client::start(&links, move |session| {
+        let _ = own.set(session.clone());
+        Ok(())
+    })
+    .unwrap();
+    until("it is connected", || said.get().is_some());
+    let status = Status {
+        run: eecvs_hub::message::now_us(),
+        next: 100,
+        ..Status::default()
+    };
+    let name: Name = "a".parse().unwrap();
+    let say = || {
+        let session = said.get().unwrap();
+        session
+            .put(name.key(Kind::Status), status.to_bytes())
+            .wait()
+            .unwrap();
+    };
+    let figures = || {
+        let report = downlink.report().unwrap();
+        report
+            .sensors
+            .first()
+            .map_or((0, 0), |sensor| (sensor.missing, sensor.lost))
+    };
+    until("it is heard", || {
+        say();
+        figures() == (100, 0)
+    });
+    // Of the silence, the first 3 s count.
+    std::thread::sleep(Duration::from_secs(6));
+    assert_eq!(figures(), (100, 0));
+    until("it is given up", || {
+        say();
+        figures() == (0, 100)
+    });
 }

@@ -161,6 +161,13 @@ fn every_event_comes_though_the_hub_is_killed() {
         let figures = figures();
         figures.contains("sensor=\"hall/a\"") && figures.contains("sensor=\"b\"")
     });
+    // Zenoh has been told of its threads before it was used.
+    let environment = std::fs::read(format!(
+        "/proc/{}/environ",
+        running.0.as_ref().unwrap().id()
+    ));
+    let is_told = |text: Vec<u8>| String::from_utf8_lossy(&text).contains("ZENOH_RUNTIME=");
+    assert!(environment.is_ok_and(is_told) || !cfg!(target_os = "linux"));
     std::thread::sleep(Duration::from_secs(1));
     running.signal("-KILL");
     drop(running);

@@ -39,7 +39,7 @@ pub struct Receive {
     #[arg(long)]
     from_start: bool,
 
-    /// What is missing, and does not come for so many seconds, is lost
+    /// What is missing, and does not come for so many seconds while its sensor is heard, is lost
     #[arg(long, value_name = "S", default_value_t = 60)]
     patience_s: u32,
 
@@ -52,7 +52,8 @@ pub struct Receive {
     #[arg(long, value_name = "S")]
     seconds: Option<u32>,
 
-    /// End after so many seconds without frames, when nothing is missing; of none at all, never
+    /// End after so many seconds without frames, when something is missing after as many more as --patience-s; of none at
+    /// all, never
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -98,10 +99,14 @@ impl Receive {
             watched.tell(&report);
             let now: u64 = report.sensors.iter().map(|sensor| sensor.frames).sum();
             let missing: u64 = report.sensors.iter().map(|sensor| sensor.missing).sum();
-            if now != frames || missing > 0 {
+            if now != frames {
                 (frames, latest) = (now, Instant::now());
             }
-            let is_idle = frames > 0 && idle.is_some_and(|idle| latest.elapsed() >= idle);
+            let more = match missing {
+                0 => Duration::ZERO,
+                _ => Duration::from_secs(self.patience_s.into()),
+            };
+            let is_idle = frames > 0 && idle.is_some_and(|idle| latest.elapsed() >= idle + more);
             if is_idle || most.is_some_and(|most| started.elapsed() >= most) {
                 break;
             }

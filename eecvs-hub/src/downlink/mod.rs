@@ -38,7 +38,7 @@ pub struct Options {
     pub as_they_come: bool,
     /// Also ask for what was made before this receiver was there.
     pub from_start: bool,
-    /// What is missing, and does not come for so long, is lost.
+    /// What is missing, and does not come for so long while its sensor is heard, is lost.
     pub patience: Duration,
     /// Bytes that wait to be taken, and bytes that wait for others before them.
     pub waiting_bytes: usize,

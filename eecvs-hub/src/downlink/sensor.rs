@@ -25,6 +25,8 @@ pub(super) struct Sensor {
     pub(super) runs: BTreeMap<u64, Run>,
     pub(super) delays: Latencies,
     pub(super) asking: Asking,
+    /// When something has come of it last.
+    pub(super) heard: Option<Instant>,
 }
 
 /// What is asked of a sensor.
@@ -75,6 +77,8 @@ pub(super) struct Run {
     pub(super) held: BTreeMap<u64, (Stamp, Vec<u8>)>,
     /// When something that was missing has come last, or has begun to be missing.
     pub(super) progress: Instant,
+    /// How long it was waited for since, while the sensor was heard.
+    pub(super) waited: Duration,
 }
 
 /// From where on a run counts.
@@ -105,6 +109,7 @@ impl Sensor {
                 numbers: Numbers::from(first),
                 held: BTreeMap::new(),
                 progress: Instant::now(),
+                waited: Duration::ZERO,
             };
             self.runs.insert(run, new);
         }
@@ -113,12 +118,17 @@ impl Sensor {
 }
 
 impl Run {
+    fn go_on(&mut self) {
+        self.progress = Instant::now();
+        self.waited = Duration::ZERO;
+    }
+
     /// Takes a frame; whether it is of use.
     pub(super) fn take(&mut self, number: u64) -> bool {
         let missing = self.numbers.missing();
         let is_new = self.numbers.take(number);
         if is_new && (missing == 0 || self.numbers.missing() < missing) {
-            self.progress = Instant::now();
+            self.go_on();
         }
         is_new
     }
@@ -126,7 +136,7 @@ impl Run {
     /// All below a number exist.
     pub(super) fn until(&mut self, next: u64) {
         if self.numbers.missing() == 0 {
-            self.progress = Instant::now();
+            self.go_on();
         }
         self.numbers.until(next);
     }

@@ -16,6 +16,9 @@ use crate::latency::Latencies;
 use crate::link::Client;
 use crate::message::{RANGES_MAX, Range, Stamp, Wish};
 
+/// A sensor of which nothing has come for so long is not heard: it says how it fares twice a second.
+const HEARD: Duration = Duration::from_secs(3);
+
 /// How often what is missing is asked for.
 const WISH: Duration = Duration::from_millis(50);
 
@@ -44,10 +47,11 @@ impl Taking {
             }
             let now = Instant::now();
             if now.saturating_duration_since(wished) >= WISH {
+                let since = now.saturating_duration_since(wished);
                 wished = now;
                 self.look();
                 self.wish();
-                self.give_up(now)?;
+                self.give_up(since)?;
             }
             if is_stopped {
                 self.end()?;
@@ -91,6 +95,9 @@ impl Taking {
             },
             ..Sensor::default()
         });
+        if !matches!(came, Came::Answered(..)) {
+            sensor.heard = Some(Instant::now());
+        }
         let options = &self.shared.options;
         let joined = Joined {
             from_start: options.from_start,
@@ -287,14 +294,22 @@ impl Taking {
     }
 
     /// What does not come for too long is lost.
-    fn give_up(&mut self, now: Instant) -> Result<()> {
+    ///
+    /// The time runs only while the sensor is heard: one that is switched off, or behind a link that has failed, may still
+    /// have it.
+    fn give_up(&mut self, since: Duration) -> Result<()> {
         let patience = self.shared.options.patience;
+        let is_down = self.is_down;
         let mut given_up = Vec::new();
         for (name, sensor) in &mut self.sensors {
             let newest = sensor.runs.keys().next_back().copied();
             let many = sensor.runs.len() > RUNS_MAX;
+            let is_heard = !is_down && sensor.heard.is_some_and(|heard| heard.elapsed() < HEARD);
             for (index, run) in sensor.runs.values_mut().enumerate() {
-                let is_old = now.saturating_duration_since(run.progress) >= patience;
+                if is_heard && run.numbers.missing() > 0 {
+                    run.waited += since;
+                }
+                let is_old = run.waited >= patience;
                 if run.numbers.missing() > 0 && (is_old || (many && index == 0)) {
                     let all = Range {
                         from: 0,
