@@ -174,7 +174,17 @@ impl Live {
         let Some(first) = waiting.first() else {
             return (0, Duration::ZERO);
         };
-        let (at, first_us) = *self.start.get_or_insert((now, first.t_us));
+        let (at, first_us) = match self.start {
+            Some(start) => start,
+            None => {
+                // The computer's time first: no event is given before the time that is told of it.
+                let origin_us = now_us().wrapping_sub(first.t_us).wrapping_add(1);
+                if self.pace == Pace::Recorded(1.0) {
+                    self.clock.origin_us.store(origin_us, Ordering::Relaxed);
+                }
+                *self.start.insert((Instant::now(), first.t_us))
+            }
+        };
         let since = now.saturating_duration_since(at);
         match self.pace {
             Pace::Max => (waiting.len(), Duration::ZERO),
@@ -223,12 +233,6 @@ impl EventReader for Live {
             (due, _) = self.due(Instant::now());
         }
         self.clock.read_us.store(now_us(), Ordering::Relaxed);
-        if self.given == 0
-            && let (Some((_, first_us)), Pace::Recorded(1.0)) = (self.start, self.pace)
-        {
-            let origin_us = now_us().wrapping_sub(first_us).wrapping_add(1);
-            self.clock.origin_us.store(origin_us, Ordering::Relaxed);
-        }
         let now = self
             .waiting
             .get(self.used..self.used + due)
