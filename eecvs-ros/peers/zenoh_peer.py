@@ -12,6 +12,7 @@ import json
 import pathlib
 import sys
 import threading
+import time
 
 from rosbags.typesys import get_types_from_msg
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, ZenohSession, get_topic_info
@@ -25,6 +26,23 @@ PARTS = {
 
 def say(**fields):
     print(json.dumps(fields), flush=True)
+
+
+def ends_of(topic, link):
+    info = get_topic_info(topic, verbose=True, **link)
+    ends = {"publishers": info.publishers, "subscribers": info.subscribers} if info else {}
+    return {
+        end: [
+            {
+                "node": f"{each.node_namespace.rstrip('/')}/{each.node_name}",
+                "type": each.topic_type,
+                "hash": each.type_hash,
+                "qos": each.qos,
+            }
+            for each in all_of
+        ]
+        for end, all_of in ends.items()
+    }
 
 
 def main():
@@ -54,22 +72,16 @@ def main():
     say(ready=True)
     done.wait(45)
 
-    seen = {}
-    for topic in topics:
-        info = get_topic_info(topic, verbose=True, **link)
-        ends = {"publishers": info.publishers, "subscribers": info.subscribers} if info else {}
-        seen[topic] = {
-            end: [
-                {
-                    "node": f"{each.node_namespace.rstrip('/')}/{each.node_name}",
-                    "type": each.topic_type,
-                    "hash": each.type_hash,
-                    "qos": each.qos,
-                }
-                for each in all_of
-            ]
-            for end, all_of in ends.items()
-        }
+    # Who has just been met may not have told all of its ends yet: asked again, it has.
+    for _ in range(50):
+        seen = {topic: ends_of(topic, link) for topic in topics}
+        others = [
+            any(not end["node"].endswith("/peer") for all_of in ends.values() for end in all_of)
+            for ends in seen.values()
+        ]
+        if all(others):
+            break
+        time.sleep(0.1)
     say(received=received, topics=seen)
     subscriber.close()
     publisher.close()
