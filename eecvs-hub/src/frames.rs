@@ -41,7 +41,8 @@ impl Write for FrameSink<'_> {
             .and_then(|frame| {
                 let header = frame.header;
                 let end_us = header.t0_us.saturating_add(header.duration_us.into());
-                self.uplink.send(bytes, (self.end_us)(end_us))
+                self.uplink
+                    .send_parsed(&header, bytes, (self.end_us)(end_us))
             });
         match sent {
             Ok(()) => Ok(bytes.len()),

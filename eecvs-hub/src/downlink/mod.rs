@@ -111,7 +111,7 @@ pub struct SensorReport {
 pub struct Report {
     /// By name.
     pub sensors: Vec<SensorReport>,
-    /// Frames that found no room and were asked for again.
+    /// Frames, and what was said beside them, that found no room; frames are asked for again.
     pub no_room: u64,
     /// Messages of sensors beyond [`SENSORS_MAX`], or of no name.
     pub refused: u64,
@@ -161,11 +161,6 @@ enum Came {
         frame: Vec<u8>,
         at_us: u64,
         is_again: bool,
-    },
-    /// A frame of this number exists.
-    NoRoom {
-        name: Name,
-        stamp: Stamp,
     },
     Status(Name, Box<Status>),
     Gone(Name, Answer),
@@ -303,15 +298,12 @@ impl Shared {
 
     fn put(&self, came: Came) {
         let mut inbox = lock(&self.inbox);
-        let came = match came {
-            Came::Frame {
-                name, stamp, frame, ..
-            } if inbox.bytes + frame.len() > self.options.waiting_bytes => {
-                inbox.no_room += 1;
-                Came::NoRoom { name, stamp }
-            }
-            came => came,
-        };
+        // What finds no room has not come: later numbers tell that it is missing. Of ends there is one for each wish.
+        let is_end = matches!(came, Came::Answered(..));
+        if !is_end && inbox.bytes + came.bytes() > self.options.waiting_bytes {
+            inbox.no_room += 1;
+            return;
+        }
         inbox.bytes += came.bytes();
         inbox.waiting.push_back(came);
         let is_first = inbox.waiting.len() == 1;
@@ -348,11 +340,16 @@ fn came(name: Name, kind: Kind, sample: &Sample) -> Came {
     }
 }
 
+/// What a message takes beside its own bytes, about.
+const BYTES: usize = 256;
+
 impl Came {
     fn bytes(&self) -> usize {
         match self {
-            Self::Frame { frame, .. } => frame.len(),
-            _ => 64,
+            Self::Frame { frame, .. } => BYTES + frame.len(),
+            Self::Status(_, status) => BYTES + size_of_val(status.held.as_slice()),
+            Self::Gone(_, answer) => BYTES + size_of_val(answer.gone.as_slice()),
+            Self::Answered(..) | Self::Malformed(_) => BYTES,
         }
     }
 }

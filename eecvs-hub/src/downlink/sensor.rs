@@ -25,6 +25,8 @@ pub(super) struct Sensor {
     pub(super) runs: BTreeMap<u64, Run>,
     pub(super) delays: Latencies,
     pub(super) asking: Asking,
+    /// Frames lost of runs that are forgotten.
+    pub(super) lost_before: u64,
     /// When something has come of it last.
     pub(super) heard: Option<Instant>,
 }

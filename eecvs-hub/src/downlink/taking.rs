@@ -78,7 +78,6 @@ impl Taking {
 
     fn take(&mut self, came: Came) -> Result<()> {
         let (Came::Frame { name, .. }
-        | Came::NoRoom { name, .. }
         | Came::Status(name, _)
         | Came::Gone(name, _)
         | Came::Answered(name, _)
@@ -110,11 +109,6 @@ impl Taking {
                     sensor.asking.wish = None;
                 }
             }
-            Came::NoRoom { stamp, .. } => {
-                if let Some(run) = sensor.run(stamp.run, stamp.number, joined) {
-                    run.until(stamp.number.saturating_add(1));
-                }
-            }
             Came::Status(_, status) => {
                 if let Some(run) = sensor.run(status.run, status.next, joined) {
                     run.until(status.next);
@@ -134,7 +128,7 @@ impl Taking {
                 sensor.asking.hear();
                 if let Some(run) = sensor.runs.get_mut(&answer.run) {
                     for range in &answer.gone {
-                        sensor.report.lost += run.numbers.give_up(*range);
+                        run.numbers.give_up(*range);
                     }
                     self.settle(&name)?;
                 }
@@ -315,7 +309,7 @@ impl Taking {
                         from: 0,
                         to: run.numbers.next(),
                     };
-                    sensor.report.lost += run.numbers.give_up(all);
+                    run.numbers.give_up(all);
                     given_up.push(name.clone());
                 }
             }
@@ -326,7 +320,7 @@ impl Taking {
                 && first.get_mut().held.is_empty()
                 && first.get().numbers.missing() == 0
             {
-                first.remove();
+                sensor.lost_before += first.remove().numbers.lost();
             }
         }
         for name in given_up {
@@ -347,7 +341,7 @@ impl Taking {
                     from: 0,
                     to: run.numbers.next(),
                 };
-                sensor.report.lost += run.numbers.give_up(all);
+                run.numbers.give_up(all);
             }
             self.settle(&name)?;
         }
@@ -363,6 +357,8 @@ impl Taking {
         let sensors = self.sensors.values_mut().map(|sensor| {
             delays.merge(&sensor.delays);
             let report = &mut sensor.report;
+            let lost = sensor.runs.values().map(|run| run.numbers.lost());
+            report.lost = lost.fold(sensor.lost_before, u64::saturating_add);
             report.missing = sensor.runs.values().map(|run| run.numbers.missing()).sum();
             let delays = sensor.delays.quantiles();
             (

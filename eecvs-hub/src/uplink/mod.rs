@@ -14,7 +14,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
-use eecvs_nostd::{Frame, Regime, Sensor};
+use eecvs_nostd::{Frame, Header, Regime, Sensor};
 use host_harness::encode::Budget as EncoderBudget;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
@@ -185,11 +185,19 @@ impl Uplink {
     /// # Errors
     /// Bytes that are no frame; why there will be no link.
     pub fn send(&self, frame: &[u8], end_us: u64) -> Result<()> {
+        let parsed = Frame::parse(frame);
+        let header = parsed.map_err(|error| anyhow::anyhow!("{error}"))?.header;
+        self.send_parsed(&header, frame, end_us)
+    }
+
+    /// Takes the next frame, whose header is known.
+    ///
+    /// # Errors
+    /// Why there will be no link.
+    pub fn send_parsed(&self, header: &Header, frame: &[u8], end_us: u64) -> Result<()> {
         if let Some(client) = self.shared.client.get() {
             client.check()?;
         }
-        let parsed = Frame::parse(frame);
-        let header = parsed.map_err(|error| anyhow::anyhow!("{error}"))?.header;
         let mut state = self.shared.state();
         let events = &mut state.events;
         events.encoded += u64::from(header.events);
