@@ -4,10 +4,10 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 use host_harness::cmd::output::end;
+use host_harness::cmd::variable::have_zenoh_threads;
 use usb_bridge::stop::Stop;
 
 use crate::cmd::{hub, keys, receive, sensor, simulate};
-use crate::link::have_threads;
 
 /// Many sensors to many machines, over Zenoh: sensors send frames to hubs, receivers take them from these
 #[derive(Debug, Parser)]
@@ -29,7 +29,7 @@ enum Command {
 /// The command. It is called before a program does anything else.
 #[must_use]
 pub fn run() -> ExitCode {
-    have_threads();
+    have_zenoh_threads();
     let line = EecvsHub::parse();
     let stop = match Stop::on_signals() {
         Ok(stop) => stop,

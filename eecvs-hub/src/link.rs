@@ -17,7 +17,6 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context as _, Result, anyhow, ensure};
-use host_harness::cmd::variable::set_from_the_start;
 use zenoh::{Config, Session, Wait};
 
 use crate::access::Access;
@@ -76,17 +75,6 @@ const HUB_SETTINGS: &[(&str, &str)] = &[
           key_exprs: [\"**\"], overwrite: {congestion_control: \"drop\"}}]",
     ),
 ];
-
-/// Gives Zenoh more threads than its two and one, unless its variable is set. It is called before anything else.
-///
-/// What hangs is given up after some seconds, and its socket closed; where that is full, the closing thread waits for ten
-/// seconds more, and receives nothing from others meanwhile.
-pub fn have_threads() {
-    set_from_the_start(
-        "ZENOH_RUNTIME",
-        "(rx: (worker_threads: 8), net: (worker_threads: 8))",
-    );
-}
 
 impl Links {
     fn config(&self, mode: &str) -> Result<Config> {

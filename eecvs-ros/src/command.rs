@@ -10,6 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::builder::ValueParser;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
 use host_harness::cmd::output::end;
+use host_harness::cmd::variable::have_zenoh_threads;
 use usb_bridge::stop::Stop;
 
 use crate::arguments::{Has, NodeArguments, RosArguments};
@@ -20,7 +21,7 @@ use crate::operator::{Operator, Operators};
 use crate::transport::Transport;
 use crate::transport::dds::Dds;
 use crate::transport::local::Local;
-use crate::transport::zenoh::{Links, ROUTER, Router, Zenoh, have_threads};
+use crate::transport::zenoh::{Links, ROUTER, Router, Zenoh};
 
 /// ROS 2 nodes around the encoder; flags may also be given as parameters, behind --ros-args: -p NAME:=VALUE,
 /// -r FROM:=TO, --params-file FILE
@@ -123,16 +124,25 @@ struct Compose {
     nodes: Vec<String>,
 }
 
+/// What the command line may be. A node's windows are shorter than those of files: frames are not to come late.
+fn command_line() -> clap::Command {
+    EecvsRos::command().mut_subcommand("encode", |encode| {
+        encode.mut_arg("window_us", |window| {
+            window.default_value(encode::WINDOW_US)
+        })
+    })
+}
+
 /// The command, with operators beside ours. It is called before a program does anything else.
 pub fn run(operators: Vec<Box<dyn Operator>>) -> ExitCode {
-    have_threads();
+    have_zenoh_threads();
     let operators = Arc::new(Operators::new(operators));
     end("eecvs-ros", start(&operators))
 }
 
 fn start(operators: &Arc<Operators>) -> Result<()> {
     let (ros, rest) = RosArguments::split(std::env::args())?;
-    let matches = EecvsRos::command().try_get_matches_from(&rest);
+    let matches = command_line().try_get_matches_from(&rest);
     // The node is known before what its parameters say is.
     let line = match matches.and_then(|matches| EecvsRos::from_arg_matches(&matches)) {
         Ok(line) => line,
@@ -155,14 +165,14 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
 
 /// The command line with a node's parameters as flags in front of its own, and all of its flags as parameters.
 fn parse(mut line: Vec<String>, node: &NodeArguments) -> Result<(EecvsRos, Vec<(String, String)>)> {
-    let names: Vec<String> = EecvsRos::command()
+    let names: Vec<String> = command_line()
         .get_subcommands()
         .map(|command| command.get_name().to_owned())
         .collect();
     let at = line.iter().position(|word| names.contains(word));
     let at = at.map_or(line.len(), |at| at + 1);
     line.splice(at..at, node.flags.iter().cloned());
-    let mut matches = match EecvsRos::command().try_get_matches_from(&line) {
+    let mut matches = match command_line().try_get_matches_from(&line) {
         Ok(matches) => matches,
         Err(error) => error.exit(),
     };
@@ -182,7 +192,7 @@ fn parse(mut line: Vec<String>, node: &NodeArguments) -> Result<(EecvsRos, Vec<(
 
 /// What is said of the nodes of some commands, all of which run in this process.
 fn named(ros: &RosArguments, commands: &[String]) -> Result<Vec<NodeArguments>> {
-    let mut line = EecvsRos::command();
+    let mut line = command_line();
     // Gives commands the flags that all of them have.
     line.build();
     let parameters: Vec<Vec<String>> = commands
@@ -355,5 +365,25 @@ impl Command {
             Self::Play(node) => node.run(context),
             Self::Compose(_) | Self::Router(_) => bail!("this is no node"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_of_nodes_are_short_unless_they_are_said() {
+        let window_us = |arguments: &[&str]| {
+            let words = ["eecvs-ros", "encode"].iter().chain(arguments);
+            let words = words.map(|word| (*word).to_owned()).collect();
+            let node = named(&RosArguments::default(), &["encode".to_owned()]);
+            let node = node.unwrap().remove(0);
+            let (_, parameters) = parse(words, &node).unwrap();
+            let found = parameters.into_iter().find(|(name, _)| name == "window_us");
+            found.unwrap().1
+        };
+        assert_eq!(window_us(&[]), encode::WINDOW_US);
+        assert_eq!(window_us(&["--window-us", "32768"]), "32768");
     }
 }

@@ -11,7 +11,6 @@ use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Result, anyhow};
-use host_harness::cmd::variable::set_from_the_start;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::SampleKind;
@@ -65,20 +64,6 @@ const SETTINGS: &[(&str, &str)] = &[
         "{period_init_ms: 250, period_max_ms: 1000}",
     ),
 ];
-
-/// Gives Zenoh's receiving and connecting more threads than its two and one, unless its variable is set. It is called
-/// before anything else.
-///
-/// A link whose other end hangs is given up after ten seconds. Zenoh closes its socket in one of these threads, and has
-/// what was not sent linger: with a full socket that thread waits for ten seconds more. With no thread left, nothing
-/// would be received from anyone, and publishers would drop messages. As many links may be closed at a time as there
-/// are threads of the kind, less one.
-pub fn have_threads() {
-    set_from_the_start(
-        "ZENOH_RUNTIME",
-        "(rx: (worker_threads: 8), net: (worker_threads: 8))",
-    );
-}
 
 impl Links {
     fn config(&self, mode: &str, own: &[(&str, &str)]) -> Result<Config> {
