@@ -21,7 +21,7 @@ fuzz_target!(|data: &[u8]| {
             name: "fuzz",
             path: None,
             place: None,
-            size: size(data),
+            reading: size(data).into(),
         })
     };
     let last_us = drain(open(), None);

@@ -8,7 +8,7 @@ use eecvs_nostd::{Event, Sensor};
 use crate::fit::{Fit, Lost, beyond};
 use crate::formats::growing::{Follow, open_growing};
 use crate::formats::intact::Intact;
-use crate::formats::{self, Format};
+use crate::formats::{self, Format, Reading};
 use crate::output_file::{refuse_same_file, remove_partial};
 
 /// A rectangle of pixels.
@@ -122,7 +122,7 @@ const STEP_BACK_MAX_US: u64 = 1_000_000;
 pub fn convert(
     input: &Path,
     output: &Path,
-    size: Option<Sensor>,
+    reading: &Reading,
     conversion: &Conversion,
 ) -> anyhow::Result<Converted> {
     let filter = conversion.filter;
@@ -131,8 +131,8 @@ pub fn convert(
     }
     let (format, create) = formats::writable(output)?;
     let reader = match &conversion.follow {
-        Some(follow) => open_growing(input, size, follow)?,
-        None => formats::open(input, size)?,
+        Some(follow) => open_growing(input, reading, follow)?,
+        None => formats::open(input, reading)?,
     };
     let mut sensor = filter
         .sensor(reader.sensor())

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use eecvs_nostd::{Density, Regime, Sensor, Thresholds};
 use serde::Serialize;
 
-use crate::formats;
+use crate::formats::{self, Reading};
 use crate::frame_file::FrameReader;
 use crate::reference::window::{HOST_CAPACITY, Window, Windower};
 
@@ -82,12 +82,12 @@ impl DensitySeries {
 /// A recording that cannot be read.
 pub fn of_recording(
     path: &Path,
-    size: Option<Sensor>,
+    reading: &Reading,
     window_us: NonZeroU32,
     thresholds: Thresholds,
     each: &mut dyn FnMut(WindowDensity) -> Result<()>,
 ) -> Result<()> {
-    let mut reader = formats::open(path, size)?;
+    let mut reader = formats::open(path, reading)?;
     let mut series = DensitySeries::new(reader.sensor(), u64::from(window_us.get()), thresholds);
     let capacity: NonZeroUsize = HOST_CAPACITY;
     let mut windower = Windower::new(window_us, capacity);

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use eecvs_nostd::{Event, Polarity, Sensor};
+use eecvs_nostd::{Event, Polarity};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::formats::intact::Intact;
-use crate::formats::{self, EventReader};
+use crate::formats::{self, EventReader, Reading};
 
 /// Counts, times and hash of a recording; the fields are the keys of `eecvs info --json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -42,6 +42,9 @@ pub struct RecordingInfo {
     /// SHA-256 over the columns t (int64), x, y (uint16), p (uint8, 0 or 1), little-endian, one
     /// after the other, events in file order; lower-case hex.
     pub sha256_events: String,
+    /// What the file does not say and its reader took to be so, and why.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub assumptions: Vec<String>,
     /// What the file holds besides events, by kind.
     pub skipped: BTreeMap<String, u64>,
     /// Where and why the recording ended before its end; the rest is of what stands before.
@@ -59,7 +62,7 @@ const COLUMNS: [Column; 4] = [
     |event, bytes| bytes.push(event.polarity as u8),
 ];
 
-/// Reads a recording; `size` counts where the file has none.
+/// Reads a recording; `reading` says what the file does not.
 ///
 /// The hash needs whole columns one after the other: the file is read once per column, so that
 /// memory stays bounded by a batch. `progress` gets the number of events read since its last
@@ -69,10 +72,10 @@ const COLUMNS: [Column; 4] = [
 /// An unknown format, a damaged header. Damage behind it ends the recording, and is told.
 pub fn info(
     path: &Path,
-    size: Option<Sensor>,
+    reading: &Reading,
     progress: &mut dyn FnMut(u64),
 ) -> anyhow::Result<RecordingInfo> {
-    let mut reader = Intact::new(formats::open(path, size)?);
+    let mut reader = Intact::new(formats::open(path, reading)?);
     // Later passes need not search for the size again.
     let sensor = reader.sensor();
     let mut info = RecordingInfo {
@@ -90,6 +93,11 @@ pub fn info(
         sum_x: 0,
         sum_y: 0,
         sha256_events: String::new(),
+        assumptions: reader
+            .assumptions()
+            .iter()
+            .map(ToString::to_string)
+            .collect(),
         skipped: BTreeMap::new(),
         damage: None,
     };
@@ -98,7 +106,11 @@ pub fn info(
     let mut bytes = Vec::new();
     for (pass, column) in COLUMNS.iter().enumerate() {
         if pass > 0 {
-            reader = Intact::new(formats::open(path, Some(sensor))?);
+            let reading = Reading {
+                size: Some(sensor),
+                ..reading.clone()
+            };
+            reader = Intact::new(formats::open(path, reading)?);
         }
         loop {
             events.clear();

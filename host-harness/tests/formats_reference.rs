@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use eecvs_nostd::Sensor;
+use host_harness::formats::Reading;
 use host_harness::recording_info::{RecordingInfo, info};
 use serde_json::Value;
 use sha2::{Digest, Sha256};
@@ -26,7 +27,7 @@ fn entry<'a>(reference: &'a [Value], name: &str) -> &'a Value {
 }
 
 fn recording_info(path: &Path) -> RecordingInfo {
-    info(path, None, &mut |_| {}).expect("a readable recording")
+    info(path, &Reading::default(), &mut |_| {}).expect("a readable recording")
 }
 
 /// Checks every key but the times, which a derived file may have shifted.
@@ -90,7 +91,7 @@ fn dat_without_a_size() {
     assert!(format!("{error:#}").contains("--width"), "{error:#}");
     let side = |key: &str| u16::try_from(want[key].as_u64().expect("a number")).expect("a side");
     let size = Sensor::new(side("width"), side("height"));
-    let info = info(&path, size, &mut |_| {}).expect("a readable recording");
+    let info = info(&path, &size.into(), &mut |_| {}).expect("a readable recording");
     assert_eq!(info.format, "dat");
     check_counts(&info, want);
     assert_eq!(want["t_first_us"], info.t_first_us.expect("events"));

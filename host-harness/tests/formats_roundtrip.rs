@@ -4,7 +4,7 @@ mod support;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 use host_harness::convert::{Conversion, Converted, Crop, Filter, convert};
-use host_harness::formats;
+use host_harness::formats::{self, Reading};
 use proptest::prelude::*;
 use support::{FORMATS, events, fitted, read, read_as, written};
 
@@ -258,11 +258,13 @@ fn convert_loses_nothing_unless_it_may() {
     // The DAVIS240 has 180 rows.
     let output = folder.path().join("out.aedat");
     let mut conversion = Conversion::default();
-    let error = convert(&input, &output, None, &conversion).expect_err("rows are missing");
+    let error =
+        convert(&input, &output, &Reading::default(), &conversion).expect_err("rows are missing");
     assert!(format!("{error:#}").contains("out.aedat"), "{error:#}");
     assert!(!output.exists());
     conversion.allow_loss = true;
-    let converted = convert(&input, &output, None, &conversion).expect("a conversion");
+    let converted =
+        convert(&input, &output, &Reading::default(), &conversion).expect("a conversion");
     let want: Vec<Event> = events.into_iter().filter(|event| event.y < 180).collect();
     assert_eq!(converted.lost.outside, 1000 - want.len() as u64);
     assert_eq!(converted.events_out, want.len() as u64);
@@ -314,7 +316,8 @@ fn convert_filters_and_crops() {
         "out.npz",
     ] {
         let output = folder.path().join(name);
-        let converted = convert(&input, &output, None, &of(filter)).expect("a conversion");
+        let converted =
+            convert(&input, &output, &Reading::default(), &of(filter)).expect("a conversion");
         let events_out = want.len() as u64;
         // Reading ends a second behind the time that is asked for.
         let events_in = 50_000;
@@ -347,9 +350,15 @@ fn convert_filters_and_crops() {
         }),
         ..filter
     };
-    let error = convert(&input, &folder.path().join("a.csv"), None, &of(outside));
+    let error = convert(
+        &input,
+        &folder.path().join("a.csv"),
+        &Reading::default(),
+        &of(outside),
+    );
     assert!(format!("{:#}", error.expect_err("a crop outside")).contains("240x180"));
-    convert(&input, &input, None, &Conversion::default()).expect_err("the same file");
+    convert(&input, &input, &Reading::default(), &Conversion::default())
+        .expect_err("the same file");
     assert_eq!(
         read(&std::fs::read(&input).expect("unharmed"), None).0,
         events

@@ -8,7 +8,7 @@ use anyhow::Result;
 use clap::Args;
 use eecvs_nostd::Sensor as Size;
 use host_harness::cmd::encode::CodecOptions;
-use host_harness::cmd::options::SizeOptions;
+use host_harness::cmd::options::ReadingOptions;
 use host_harness::cmd::output::{print, print_json, rows};
 use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
 use host_harness::formats::{self, EventReader};
@@ -58,7 +58,7 @@ pub struct Sensor {
     duration_us: Option<u64>,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Pace of a recording or a scene: real (as recorded), max (as fast as possible), N events per second, or Fx (F times
     /// as fast as recorded)
@@ -128,10 +128,12 @@ impl Sensor {
     pub fn run(self, stop: &Stop) -> Result<()> {
         let (encoding, summary) = match (self.device.name(), &self.recording, self.scene) {
             (Some(_), ..) => self.device(stop)?,
-            (None, Some(path), _) => self.file(formats::open(path, self.size.sensor())?, stop)?,
+            (None, Some(path), _) => {
+                self.file(formats::open(path, self.reading.reading())?, stop)?
+            }
             (None, None, scene) => {
                 let mut config = SceneConfig::new(scene.unwrap_or(Preset::IndoorFlying), self.seed);
-                config.sensor = self.size.sensor().unwrap_or(config.sensor);
+                config.sensor = self.reading.sensor().unwrap_or(config.sensor);
                 config.duration_us = self.duration_us.unwrap_or(config.duration_us);
                 self.file(Box::new(emulate(config)?), stop)?
             }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use clap::Args;
 use eecvs_nostd::{Event, Sensor};
-use host_harness::cmd::options::SizeOptions;
+use host_harness::cmd::options::ReadingOptions;
 use host_harness::formats::{self, EventReader, Pause};
 use host_harness::scene::{Preset, SceneConfig, emulate};
 use usb_bridge::peripheral::stream::Pace;
@@ -38,7 +38,7 @@ pub struct Emulate {
     recording: Option<PathBuf>,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Pace: real (as recorded), max (as fast as possible), N events per second, or Fx (F times as fast as recorded)
     #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
@@ -148,10 +148,10 @@ impl Emulate {
 
     fn open(&self) -> Result<Box<dyn EventReader>> {
         match &self.recording {
-            Some(path) => formats::open(path, self.size.sensor()),
+            Some(path) => formats::open(path, self.reading.reading()),
             None => {
                 let mut config = SceneConfig::new(self.scene, self.seed);
-                config.sensor = self.size.sensor().unwrap_or(config.sensor);
+                config.sensor = self.reading.sensor().unwrap_or(config.sensor);
                 config.duration_us = self.duration_us.unwrap_or(config.duration_us);
                 Ok(Box::new(emulate(config)?))
             }

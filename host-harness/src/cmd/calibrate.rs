@@ -8,7 +8,7 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 
-use super::options::SizeOptions;
+use super::options::ReadingOptions;
 use super::output::{print, print_json};
 use crate::calibrate::{CalibratedThresholds, Calibration};
 use crate::exact_density::decimal;
@@ -40,7 +40,7 @@ pub struct Calibrate {
     window_us: NonZeroU32,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Thresholds file to write, in TOML.
     #[arg(short, long, value_name = "thresholds.toml")]
@@ -61,7 +61,7 @@ impl Calibrate {
         for file in &self.files {
             refuse_same_file(file, &self.output)?;
         }
-        let size = self.size.sensor();
+        let reading = self.reading.reading();
         let mut calibration = Calibration::new(self.window_us);
         let mut skipped: BTreeMap<&'static str, u64> = BTreeMap::new();
         let progress = Progress::new("events");
@@ -73,7 +73,7 @@ impl Calibrate {
             Ok(())
         };
         for file in &self.files {
-            add(formats::open(file, size)?.as_mut())?;
+            add(formats::open(file, &reading)?.as_mut())?;
         }
         if self.scenes {
             for preset in PRESETS {
@@ -175,12 +175,12 @@ mod tests {
         let c = parse("a.raw b.raw -o t.toml").unwrap();
         assert_eq!(c.file_names(), ["a.raw", "b.raw"]);
         assert_eq!(
-            (c.window_us.get(), c.size.width, c.size.height, c.json),
+            (c.window_us.get(), c.reading.width, c.reading.height, c.json),
             (32_768, None, None, false)
         );
         let c = parse("a --window-us 1 --width 640 --height 2048 --json -o t").unwrap();
         assert_eq!(
-            (c.window_us.get(), c.size.width, c.size.height),
+            (c.window_us.get(), c.reading.width, c.reading.height),
             (1, Some(640), Some(2048))
         );
         assert!(c.json);
@@ -218,7 +218,7 @@ mod tests {
             files: vec![folder.path().join("missing.raw")],
             window_us: NonZeroU32::MIN,
             scenes: false,
-            size: SizeOptions::default(),
+            reading: ReadingOptions::default(),
             output: output.clone(),
             json: false,
         };

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 
-use super::options::SizeOptions;
+use super::options::ReadingOptions;
 use super::output::{print, print_json};
 use crate::formats;
 use crate::metrics::{self, Comparison};
@@ -24,7 +24,7 @@ pub struct Compare {
           value_parser = clap::value_parser!(u64).range(1..))]
     window_us: u64,
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -36,11 +36,11 @@ impl Compare {
     /// # Errors
     /// A recording that cannot be read, or what [`metrics::compare`] refuses.
     pub fn run(self) -> Result<()> {
-        let size = self.size.sensor();
+        let reading = self.reading.reading();
         let progress = Progress::new("events");
         let comparison = metrics::compare(
-            &|| formats::open(&self.a, size),
-            &|| formats::open(&self.b, size),
+            &|| formats::open(&self.a, &reading),
+            &|| formats::open(&self.b, &reading),
             self.window_us,
             &mut |events| progress.set(events),
         );

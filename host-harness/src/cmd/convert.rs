@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use clap::error::ErrorKind;
 
-use super::options::{FollowOptions, SizeOptions, tell_damage};
+use super::options::{FollowOptions, ReadingOptions, tell_damage};
 use super::output::{print, print_json, rows};
 use crate::convert::{Conversion, Converted, Crop, Filter, convert};
 
@@ -41,7 +41,7 @@ pub struct Convert {
     follow: FollowOptions,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -92,8 +92,8 @@ impl Convert {
             allow_loss: self.allow_loss,
             follow: self.follow.follow()?,
         };
-        let size = self.size.sensor();
-        let converted = convert(&self.input, &self.output, size, &conversion)?;
+        let reading = self.reading.reading();
+        let converted = convert(&self.input, &self.output, &reading, &conversion)?;
         if self.json {
             print_json(&converted)?;
         } else {

@@ -18,7 +18,7 @@ use crate::calibrate::Calibration;
 use crate::decode::{WindowReader, decode};
 use crate::density_series::{WindowDensity, of_recording};
 use crate::encode::{Limits, encode};
-use crate::formats::{self, EventReader};
+use crate::formats::{self, EventReader, Reading};
 use crate::frame_file::FrameReader;
 use crate::metrics;
 use crate::progress::Progress;
@@ -254,7 +254,7 @@ impl Run {
         let mut windows = Vec::new();
         of_recording(
             &self.scene,
-            None,
+            &Reading::default(),
             WINDOW_US,
             self.thresholds,
             &mut |window| {

@@ -10,7 +10,7 @@ use eecvs_nostd::{
     Quantiser, Region, Sensor, Transform, WindowConfig,
 };
 
-use super::options::{FollowOptions, SizeOptions, ThresholdOptions, tell_damage};
+use super::options::{FollowOptions, ReadingOptions, ThresholdOptions, tell_damage};
 use super::output::{print, print_json, rows};
 use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
@@ -47,7 +47,7 @@ pub struct Encode {
     follow: FollowOptions,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Threads that encode; the frames do not depend on it [default: as many as there are cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -375,11 +375,11 @@ impl Encode {
     /// # Errors
     /// A recording that cannot be read, an output that cannot be written.
     pub fn run(self) -> Result<()> {
-        let size = self.size.sensor();
+        let reading = self.reading.reading();
         let follow = self.follow.follow()?;
         let reader = match &follow {
-            Some(follow) => open_growing(&self.input, size, follow)?,
-            None => formats::open(&self.input, size)?,
+            Some(follow) => open_growing(&self.input, &reading, follow)?,
+            None => formats::open(&self.input, &reading)?,
         };
         let config = self.codec.config(reader.sensor())?;
         let (reader, config) = self.codec.look(reader, config);

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 
-use super::options::{SizeOptions, tell_damage};
+use super::options::{ReadingOptions, tell_damage};
 use super::output::{print, print_json, rows};
 use crate::progress::Progress;
 use crate::recording_info::{RecordingInfo, info};
@@ -17,7 +17,7 @@ pub struct Info {
     file: PathBuf,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -31,7 +31,7 @@ impl Info {
     /// A recording that cannot be read to its end.
     pub fn run(self) -> Result<()> {
         let progress = Progress::new("events");
-        let info = info(&self.file, self.size.sensor(), &mut |events| {
+        let info = info(&self.file, &self.reading.reading(), &mut |events| {
             progress.advance(events);
         })?;
         drop(progress);
@@ -67,6 +67,9 @@ fn table(info: &RecordingInfo) -> String {
         ("sum_y", info.sum_y.to_string()),
         ("sha256_events", info.sha256_events.clone()),
     ]);
+    for assumption in &info.assumptions {
+        text += &format!("taken for      {assumption}\n");
+    }
     for (kind, count) in &info.skipped {
         text += &format!("skipped        {count} {kind}\n");
     }

@@ -8,7 +8,7 @@ use clap::Args;
 use eecvs_nostd::{Config, Event, Sensor};
 
 use super::encode::CodecOptions;
-use super::options::SizeOptions;
+use super::options::ReadingOptions;
 use crate::formats::{self, EventReader, Skipped};
 use crate::mcu::{self, Connection, Job, Outcome};
 use crate::output_file::{OutputFile, refuse_same_file};
@@ -42,7 +42,7 @@ pub struct JobOptions {
     codec: CodecOptions,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Encode the first N events alone
     #[arg(long, value_name = "N")]
@@ -128,7 +128,7 @@ impl JobOptions {
 
     fn open(&self) -> Result<Box<dyn EventReader>> {
         let reader = match &self.input {
-            Some(input) => formats::open(input, self.size.sensor())?,
+            Some(input) => formats::open(input, self.reading.reading())?,
             None => Box::new(emulate(SCENE)?),
         };
         Ok(match self.events {

@@ -8,7 +8,7 @@ use clap::Args;
 use eecvs_nostd::{Density, Regime, Thresholds};
 use serde_json::json;
 
-use super::options::{SizeOptions, ThresholdOptions};
+use super::options::{ReadingOptions, ThresholdOptions};
 use super::output::{print, print_json};
 use crate::density_series::{WindowDensity, of_frames, of_recording};
 use crate::frame_file::is_frame_file;
@@ -35,7 +35,7 @@ pub struct Monitor {
     thresholds: ThresholdOptions,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Write the density over time as an SVG chart
     #[arg(long, value_name = "FILE.svg")]
@@ -68,8 +68,8 @@ impl Monitor {
         if is_frame_file(&self.input)? {
             of_frames(&self.input, thresholds, &mut keep)?;
         } else {
-            let size = self.size.sensor();
-            of_recording(&self.input, size, self.window_us, thresholds, &mut keep)?;
+            let reading = self.reading.reading();
+            of_recording(&self.input, &reading, self.window_us, thresholds, &mut keep)?;
         }
         let marks = chart_thresholds(thresholds);
         if let Some(path) = &self.chart {

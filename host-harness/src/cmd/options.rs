@@ -10,6 +10,7 @@ use eecvs_nostd::{Sensor, Thresholds};
 
 use super::stop::stop_on_signals;
 use crate::formats::growing::Follow;
+use crate::formats::{BadEvents, Columns, Reading, TimeUnit};
 use crate::thresholds_file::ThresholdsFile;
 
 /// Parses a width or a height.
@@ -17,9 +18,9 @@ fn side() -> RangedU64ValueParser<u16> {
     RangedU64ValueParser::new().range(1..=u64::from(Sensor::SIDE_MAX))
 }
 
-/// Sensor size, for recordings that do not store it.
-#[derive(Debug, Clone, Copy, Default, Args)]
-pub struct SizeOptions {
+/// What a recording does not say of itself.
+#[derive(Debug, Clone, Default, Args)]
+pub struct ReadingOptions {
     /// Sensor width in pixels, for formats that do not store it
     #[arg(long, value_name = "W", requires = "height", value_parser = side())]
     pub width: Option<u16>,
@@ -27,15 +28,61 @@ pub struct SizeOptions {
     /// Sensor height in pixels, for formats that do not store it
     #[arg(long, value_name = "H", requires = "width", value_parser = side())]
     pub height: Option<u16>,
+
+    /// Unit of the recording's times, for formats that do not state it
+    #[arg(long, value_name = "UNIT", value_parser = time_unit)]
+    pub time_unit: Option<TimeUnit>,
+
+    /// Microseconds to add to every time of the recording, such as for times before 0
+    #[arg(
+        long,
+        value_name = "D",
+        default_value_t = 0,
+        allow_negative_numbers = true
+    )]
+    pub time_offset_us: i64,
+
+    /// Columns of a table: a letter for each, t, x, y, p and - for one to leave out, as in -xytp; or their
+    /// names, as in t=time,x=col,y=row,p=on
+    #[arg(long, value_name = "COLUMNS", value_parser = Columns::parse)]
+    pub columns: Option<Columns>,
+
+    /// Leave out, and count, events that cannot be ones (outside of the sensor, values missing) instead of
+    /// ending with an error at the first
+    #[arg(long)]
+    pub leave_out_bad_events: bool,
 }
 
-impl SizeOptions {
+/// Parses a unit of time.
+fn time_unit(text: &str) -> Result<TimeUnit, String> {
+    let units = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
+    let unit = units.into_iter().find(|unit| unit.name() == text);
+    unit.ok_or_else(|| "one of s, ms, us, ns".to_owned())
+}
+
+impl ReadingOptions {
     /// The size, where it was given.
     #[must_use]
-    pub fn sensor(self) -> Option<Sensor> {
+    pub fn sensor(&self) -> Option<Sensor> {
         self.width
             .zip(self.height)
             .and_then(|(width, height)| Sensor::new(width, height))
+    }
+
+    /// How a recording is read.
+    #[must_use]
+    pub fn reading(&self) -> Reading {
+        Reading {
+            size: self.sensor(),
+            time_unit: self.time_unit,
+            time_offset_us: self.time_offset_us,
+            columns: self.columns.clone(),
+            bad_events: if self.leave_out_bad_events {
+                BadEvents::LeaveOut
+            } else {
+                BadEvents::Refuse
+            },
+        }
     }
 }
 

@@ -11,7 +11,7 @@ use clap::error::ErrorKind;
 use eecvs_nostd::Sensor;
 use serde::Serialize;
 
-use super::options::SizeOptions;
+use super::options::ReadingOptions;
 use super::output::{print, print_json, rows};
 use super::stop::stop_on_signals;
 use crate::output_file::refuse_same_file;
@@ -89,7 +89,7 @@ pub struct View {
     columns: Option<u16>,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Print one JSON object instead of the table of what was written
     #[arg(long, requires = "output")]
@@ -150,10 +150,10 @@ impl View {
                 refuse_same_file(input, output)?;
             }
         }
-        let size = self.size.sensor();
-        let original = Input::open(&self.file, size)?;
+        let reading = self.reading.reading();
+        let original = Input::open(&self.file, &reading)?;
         let decoded = match &self.decoded {
-            Some(path) => Some(Input::open(path, size)?),
+            Some(path) => Some(Input::open(path, &reading)?),
             None => None,
         };
         let first_us = original

@@ -95,8 +95,11 @@ pub const FORMAT: Format = Format {
     endings: &[".aedat4"],
     detect: |start| start.begins(MAGIC),
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(Aedat4Reader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(Aedat4Reader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits::NONE,

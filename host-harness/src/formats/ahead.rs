@@ -3,7 +3,7 @@
 use anyhow::Result;
 use eecvs_nostd::{Event, Sensor};
 
-use super::{BATCH_EVENTS, EventReader, Pause, Skipped};
+use super::{Assumption, BATCH_EVENTS, EventReader, Pause, Skipped};
 
 /// A reader that has read ahead; what was read comes again.
 pub struct Ahead {
@@ -57,6 +57,10 @@ impl EventReader for Ahead {
 
     fn camera(&self) -> Option<&str> {
         self.reader.camera()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        self.reader.assumptions()
     }
 
     fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {

@@ -48,8 +48,11 @@ pub const FORMAT: Format = Format {
     endings: &[".dat"],
     detect: is_dat,
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(DatReader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(DatReader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits::NONE,

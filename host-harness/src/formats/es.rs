@@ -54,8 +54,11 @@ pub const FORMAT: Format = Format {
     endings: &[".es"],
     detect: |start| start.begins(MAGIC),
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(EsReader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(EsReader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits {

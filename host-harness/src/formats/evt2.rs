@@ -35,8 +35,11 @@ pub const FORMAT: Format = Format {
     endings: &[".evt2.raw", ".evt2"],
     detect: |start| start.holds(raw_header::Words::Evt2),
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(Evt2Reader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(Evt2Reader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits::NONE,

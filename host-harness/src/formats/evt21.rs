@@ -45,8 +45,11 @@ pub const FORMAT: Format = Format {
     endings: &[".evt21.raw", ".evt21"],
     detect: |start| start.holds(raw_header::Words::Evt21),
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(Evt21Reader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(Evt21Reader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits::NONE,

@@ -72,8 +72,11 @@ pub const FORMAT: Format = Format {
     endings: &[".raw", ".evt3"],
     detect: |start| start.holds(raw_header::Words::Evt3),
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(Evt3Reader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(Evt3Reader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits::NONE,

@@ -53,8 +53,11 @@ pub const FORMAT: Format = Format {
     endings: &[".evt4.raw", ".evt4"],
     detect: |start| start.holds(raw_header::Words::Evt4),
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(Evt4Reader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(Evt4Reader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits::NONE,

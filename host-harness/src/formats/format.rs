@@ -8,6 +8,7 @@ use eecvs_nostd::Sensor;
 
 use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
+use super::reading::Reading;
 use super::{
     EventReader, EventWriter, aedat2, aedat4, arrow, dat, es, evt2, evt3, evt4, evt21, frames,
     hdf5, mat, nmnist, npz, parquet, ros, text,
@@ -129,18 +130,19 @@ pub struct Opening<'a> {
     pub path: Option<&'a Path>,
     /// Where in the file the events are, if that was told: never but where [`Format::has_places`].
     pub place: Option<&'a str>,
-    /// The sensor's size, where it is known from elsewhere.
-    pub size: Option<Sensor>,
+    /// What the caller knows of it.
+    pub reading: Reading,
 }
 
-/// Opens a recording, its format found by content; `size` is used where the file has none.
+/// Opens a recording, its format found by content; `reading` says what the file does not.
 ///
 /// A dataset or group of an HDF5 file is named behind it: `FILE.hdf5/davis/right/events`; so is a topic
 /// of a bag of ROS. A folder with a `metadata.yaml` is a bag of ROS 2.
 ///
 /// # Errors
 /// Unknown format, unreadable file, damaged header.
-pub fn open(path: &Path, size: Option<Sensor>) -> anyhow::Result<Box<dyn EventReader>> {
+pub fn open(path: &Path, reading: impl Into<Reading>) -> anyhow::Result<Box<dyn EventReader>> {
+    let reading = reading.into();
     let inside = place_inside(path);
     let (file, place) = match &inside {
         Some((file, place)) => (*file, Some(place.as_str())),
@@ -149,7 +151,7 @@ pub fn open(path: &Path, size: Option<Sensor>) -> anyhow::Result<Box<dyn EventRe
     let name = file.display().to_string();
     let metadata = std::fs::metadata(file).with_context(|| format!("{name}: cannot be opened"))?;
     if metadata.is_dir() {
-        return Ok(Box::new(ros::folder::open(file, place, size)?));
+        return Ok(Box::new(ros::folder::open(file, place, reading.size)?));
     }
     let source = File::open(file).with_context(|| format!("{name}: cannot be opened"))?;
     open_place(Opening {
@@ -157,7 +159,7 @@ pub fn open(path: &Path, size: Option<Sensor>) -> anyhow::Result<Box<dyn EventRe
         name: &name,
         path: Some(file),
         place,
-        size,
+        reading,
     })
 }
 
@@ -181,14 +183,14 @@ fn place_inside(path: &Path) -> Option<(&Path, String)> {
 pub fn open_source(
     source: Box<dyn ReadSeek>,
     name: &str,
-    size: Option<Sensor>,
+    reading: impl Into<Reading>,
 ) -> anyhow::Result<Box<dyn EventReader>> {
     open_place(Opening {
         source,
         name,
         path: None,
         place: None,
-        size,
+        reading: reading.into(),
     })
 }
 

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::Sensor;
 
-use super::{EventReader, FORMATS, open, open_source};
+use super::{EventReader, FORMATS, Reading, open, open_source};
 
 /// Time between two looks at a file that had no more.
 const LOOK: Duration = Duration::from_millis(20);
@@ -40,21 +40,21 @@ impl Follow {
 /// Opens a recording as [`open`] does, and gives what is appended to it as well, until `follow` ends it.
 ///
 /// Events come in whole batches of [`super::BATCH_EVENTS`] until the end. A file that does not tell the
-/// sensor's size needs `size`.
+/// sensor's size needs that of `reading`.
 ///
 /// # Errors
 /// As [`open`], when the file has not become a recording in time; a format whose files can be
 /// read only when they are whole; no size.
 pub fn open_growing(
     path: &Path,
-    size: Option<Sensor>,
+    reading: &Reading,
     follow: &Follow,
 ) -> Result<Box<dyn EventReader>> {
     let name = path.display().to_string();
     let grown = Instant::now();
     // Its header may still be on the way.
     let reader = loop {
-        match open(path, size) {
+        match open(path, reading) {
             Ok(reader) => break reader,
             Err(error) if !follow.wait(grown) => return Err(error),
             Err(_) => {}
@@ -75,7 +75,7 @@ pub fn open_growing(
     );
     // Without it, the largest pixel of the whole file would be looked for.
     let sensor = reader.sensor();
-    if size.is_none() && has_no_size(path, sensor)? {
+    if reading.size.is_none() && has_no_size(path, reading, sensor)? {
         bail!("{name}: tells no sensor size, and grows: give --width W --height H");
     }
     drop(reader);
@@ -85,11 +85,15 @@ pub fn open_growing(
         follow: follow.clone(),
         grown: Instant::now(),
     };
-    open_source(Box::new(growing), &name, Some(sensor))
+    let reading = Reading {
+        size: Some(sensor),
+        ..reading.clone()
+    };
+    open_source(Box::new(growing), &name, reading)
 }
 
 /// Whether a file's size comes from its events: it opens with another as well.
-fn has_no_size(path: &Path, sensor: Sensor) -> Result<bool> {
+fn has_no_size(path: &Path, reading: &Reading, sensor: Sensor) -> Result<bool> {
     let larger = Sensor {
         width: if sensor.width == Sensor::SIDE_MAX {
             1
@@ -98,7 +102,11 @@ fn has_no_size(path: &Path, sensor: Sensor) -> Result<bool> {
         },
         ..sensor
     };
-    Ok(open(path, Some(larger))?.sensor() != sensor)
+    let reading = Reading {
+        size: Some(larger),
+        ..reading.clone()
+    };
+    Ok(open(path, reading)?.sensor() != sensor)
 }
 
 /// A file whose end is where it has not grown for long enough.
@@ -192,7 +200,7 @@ mod tests {
                     rest = later;
                 }
             });
-            let mut reader = open_growing(&written, None, &follow(1500)).unwrap();
+            let mut reader = open_growing(&written, &Reading::default(), &follow(1500)).unwrap();
             let mut events = Vec::new();
             while reader.read(&mut events).unwrap() > 0 {}
             writing.join().unwrap();
@@ -225,14 +233,14 @@ mod tests {
             stop: Arc::default(),
         };
         let writer = writing(bytes.len());
-        let mut reader = open_growing(&path, None, &endless).unwrap();
+        let mut reader = open_growing(&path, &Reading::default(), &endless).unwrap();
         let mut events = Vec::new();
         while reader.read(&mut events).unwrap() > 0 {}
         writer.join().unwrap();
         assert!(events == some_events());
         // Cut within its last packet.
         let writer = writing(bytes.len() - 5000);
-        let mut reader = open_growing(&path, None, &follow(300)).unwrap();
+        let mut reader = open_growing(&path, &Reading::default(), &follow(300)).unwrap();
         events.clear();
         let error = loop {
             match reader.read(&mut events) {
@@ -254,7 +262,7 @@ mod tests {
             idle: None,
             stop: Arc::default(),
         };
-        let mut reader = open_growing(&path, None, &follow).unwrap();
+        let mut reader = open_growing(&path, &Reading::default(), &follow).unwrap();
         let mut events = Vec::new();
         assert!(reader.read(&mut events).unwrap() > 0);
         follow.stop.store(true, Ordering::Relaxed);
@@ -269,8 +277,8 @@ mod tests {
         for name in ["a.npz", "a.csv"] {
             std::fs::write(at(name), bytes(name)).unwrap();
         }
-        let refused = |name: &str, size| {
-            let result = open_growing(&at(name), size, &follow(50));
+        let refused = |name: &str, size: Option<Sensor>| {
+            let result = open_growing(&at(name), &size.into(), &follow(50));
             format!("{:#}", result.err().unwrap())
         };
         assert!(refused("a.npz", None).contains("npz files"));
@@ -279,6 +287,6 @@ mod tests {
         std::fs::write(at("a.bag"), bytes("a.bag")).unwrap();
         let topic = "a.bag/event_camera/events";
         assert!(refused(topic, None).contains("only a file"));
-        assert!(open_growing(&at("a.csv"), Some(SENSOR), &follow(50)).is_ok());
+        assert!(open_growing(&at("a.csv"), &Some(SENSOR).into(), &follow(50)).is_ok());
     }
 }

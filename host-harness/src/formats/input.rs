@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
-use super::{BATCH_EVENTS, EventReader, Skipped};
+use super::{Assumption, BATCH_EVENTS, EventReader, Skipped};
 
 /// What a reader can read from: a file, or bytes in memory (`std::io::Cursor`).
 pub trait ReadSeek: Read + Seek + Send {}
@@ -236,6 +236,11 @@ pub trait Decode: Send {
         None
     }
 
+    /// As [`EventReader::assumptions`].
+    fn assumptions(&self) -> &[Assumption] {
+        &[]
+    }
+
     /// As [`EventReader::skipped`].
     fn skipped(&self) -> &Skipped;
 
@@ -329,6 +334,10 @@ impl<D: Decode> EventReader for Reader<D> {
 
     fn camera(&self) -> Option<&str> {
         self.decoder.camera()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        self.decoder.assumptions()
     }
 
     fn read(&mut self, events: &mut Vec<Event>) -> anyhow::Result<usize> {

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use eecvs_nostd::{Event, Sensor};
 
-use super::{EventReader, Pause, Skipped};
+use super::{Assumption, EventReader, Pause, Skipped};
 
 /// A reader whose first error is its end: what was read before it is worth as much as without it.
 ///
@@ -41,6 +41,10 @@ impl EventReader for Intact {
 
     fn camera(&self) -> Option<&str> {
         self.reader.camera()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        self.reader.assumptions()
     }
 
     fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {

@@ -40,6 +40,7 @@ pub mod parquet;
 pub mod raw_header;
 mod raw_row;
 mod raw_writer;
+pub mod reading;
 pub mod ros;
 mod runs;
 mod section;
@@ -68,6 +69,7 @@ pub use mat::MatWriter;
 pub use nmnist::NmnistWriter;
 pub use npz_writer::NpzWriter;
 pub use parquet::ParquetWriter;
+pub use reading::{Assumption, BadEvents, Columns, Reading, TimeUnit};
 pub use text_writer::TextWriter;
 
 /// Events of one call of [`EventReader::read`], at the most (a reader may return fewer).
@@ -102,6 +104,11 @@ pub trait EventReader: Send {
     /// Camera or chip as the file names it, where it does.
     fn camera(&self) -> Option<&str> {
         None
+    }
+
+    /// What the file does not say and was taken to be so, for the caller to be shown.
+    fn assumptions(&self) -> &[Assumption] {
+        &[]
     }
 
     /// Appends the next events to `events`, in file order, at most [`BATCH_EVENTS`] of them.

@@ -45,8 +45,11 @@ pub const FORMAT: Format = Format {
     endings: &[".bin"],
     detect: |start| start.is_named(".bin"),
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(NmnistReader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(NmnistReader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits {

@@ -32,8 +32,11 @@ pub const FORMAT: Format = Format {
     endings: &[".npz"],
     detect: |start| start.begins(MAGIC),
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(NpzReader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(NpzReader::new(source, name, reading.size)?)),
     has_places: false,
     grows: false,
     limits: Limits::NONE,

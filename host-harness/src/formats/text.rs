@@ -47,8 +47,11 @@ pub const FORMAT: Format = Format {
     endings: &[".csv", ".txt"],
     detect: is_text,
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(TextReader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(TextReader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits::NONE,

@@ -8,7 +8,7 @@ use eecvs_nostd::{Event, Sensor};
 
 use crate::formats::ahead::Ahead;
 use crate::formats::frames::FrameEvents;
-use crate::formats::{self, BATCH_EVENTS, EventReader};
+use crate::formats::{self, BATCH_EVENTS, EventReader, Reading};
 use crate::frame_file::is_frame_file;
 
 /// Events of a file, whatever it holds.
@@ -21,11 +21,11 @@ pub enum Input {
 
 impl Input {
     /// Opens a recording of any known format, or frames, told by their first bytes or the ending
-    /// `.eecvs`; `size` is for recordings that have none.
+    /// `.eecvs`; `reading` says what a recording does not.
     ///
     /// # Errors
     /// A file that cannot be opened, of no known format, or without a frame that decodes.
-    pub fn open(path: &Path, size: Option<Sensor>) -> Result<Self> {
+    pub fn open(path: &Path, reading: &Reading) -> Result<Self> {
         // Damage may hide what frames begin with.
         let is_named_so = path.extension().is_some_and(|ending| ending == "eecvs");
         if is_named_so || is_frame_file(path)? {
@@ -33,7 +33,7 @@ impl Input {
             let file = File::open(path).with_context(|| format!("{name}: cannot open"))?;
             return Ok(Self::Frames(Box::new(FrameEvents::new(file, &name)?)));
         }
-        Ok(Self::recording(formats::open(path, size)?))
+        Ok(Self::recording(formats::open(path, reading)?))
     }
 
     /// The events of a reader.

@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use eecvs_nostd::Sensor;
-use host_harness::cmd::options::SizeOptions;
+use host_harness::cmd::options::ReadingOptions;
 use host_harness::cmd::output::{print, print_json, rows};
 use host_harness::formats;
 use host_harness::progress::Progress;
@@ -65,7 +65,7 @@ pub struct Simulate {
     once: bool,
 
     #[command(flatten)]
-    size: SizeOptions,
+    reading: ReadingOptions,
 
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -97,7 +97,7 @@ impl Simulate {
     /// A recording that cannot be read, or does not fit the model; an address that cannot be had.
     pub fn run(self) -> Result<()> {
         let model = find(self.model).context("no such model")?;
-        let sensor = formats::open(&self.file, self.size.sensor())?.sensor();
+        let sensor = formats::open(&self.file, self.reading.reading())?.sensor();
         let stop = Stop::on_signals()?;
         let source = Source {
             command: &self,
@@ -164,8 +164,8 @@ impl Source<'_> {
             )
         })?;
         let file = self.command.file.clone();
-        let size = self.command.size.sensor();
-        let open = Box::new(move || formats::open(&file, size));
+        let reading = self.command.reading.reading();
+        let open = Box::new(move || formats::open(&file, &reading));
         let command = self.command;
         Ok(Recording::new(open, writer, command.rate, command.start_us).repeat(command.repeat))
     }

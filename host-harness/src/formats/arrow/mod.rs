@@ -65,8 +65,11 @@ pub const FORMAT: Format = Format {
     endings: &[".arrow", ".feather", STREAM_ENDING],
     detect: is_arrow,
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(ArrowReader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(ArrowReader::new(source, name, reading.size)?)),
     has_places: false,
     grows: false,
     limits: Limits::NONE,

@@ -51,9 +51,16 @@ pub const FORMAT: Format = Format {
                source,
                name,
                place,
-               size,
+               reading,
                ..
-           }| Ok(Box::new(Hdf5Reader::new(source, name, place, size)?)),
+           }| {
+        Ok(Box::new(Hdf5Reader::new(
+            source,
+            name,
+            place,
+            reading.size,
+        )?))
+    },
     has_places: true,
     grows: false,
     // And 38 hours from the first event to the last, which no limit of a single event tells.

@@ -43,9 +43,9 @@ pub const FORMAT: Format = Format {
                source,
                name,
                place,
-               size,
+               reading,
                ..
-           }| Ok(Box::new(MatReader::new(source, name, place, size)?)),
+           }| Ok(Box::new(MatReader::new(source, name, place, reading.size)?)),
     has_places: true,
     grows: false,
     limits: Limits::NONE,

@@ -66,8 +66,11 @@ pub const FORMAT: Format = Format {
     endings: &[".parquet"],
     detect: |start| start.begins(MAGIC) || start.begins(ENCRYPTED),
     open: |Opening {
-               source, name, size, ..
-           }| Ok(Box::new(ParquetReader::new(source, name, size)?)),
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(ParquetReader::new(source, name, reading.size)?)),
     has_places: false,
     grows: false,
     limits: Limits::NONE,

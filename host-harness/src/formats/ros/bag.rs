@@ -55,9 +55,12 @@ pub const FORMAT: Format = Format {
     detect: |start| start.begins(MAGIC),
     open: |opening| {
         let Opening {
-            name, place, size, ..
+            name,
+            place,
+            reading,
+            ..
         } = opening;
-        Ok(Box::new(open(opening.source, name, place, size)?))
+        Ok(Box::new(open(opening.source, name, place, reading.size)?))
     },
     has_places: true,
     grows: true,

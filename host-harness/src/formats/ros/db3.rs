@@ -100,8 +100,9 @@ mod reader {
             name,
             path,
             place,
-            size,
+            reading,
         } = opening;
+        let size = reading.size;
         let database = match path {
             Some(path) => Database::new(path, name)?,
             None => {
@@ -311,9 +312,9 @@ mod tests {
     use rusqlite::{Connection, params};
 
     use crate::formats::growing::{Follow, open_growing};
-    use crate::formats::open;
     use crate::formats::ros::fields::Serialisation;
     use crate::formats::ros::packets::{Packets, TOPIC};
+    use crate::formats::{Reading, open};
 
     /// A bag of ROS 2 whose messages have gaps in their numbers and stamps of another clock.
     fn write(path: &Path, events: &[Event]) {
@@ -422,7 +423,9 @@ mod tests {
             idle: Some(std::time::Duration::ZERO),
             stop: std::sync::Arc::default(),
         };
-        let refused = open_growing(&path, None, &follow).err().unwrap();
+        let refused = open_growing(&path, &Reading::default(), &follow)
+            .err()
+            .unwrap();
         assert!(refused.to_string().contains("SQLite"), "{refused}");
     }
 }
