@@ -9,8 +9,8 @@
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
 #   usb       the USB link: its tests, libusb against a mocked device, simulated cameras in a guest
 #             with a real kernel
-#   metrics   the metrics against scipy and scikit-image, in a Python of its own: only when it is named (the
-#             unit stage compares them where the system's Python has these)
+#   metrics   the metrics against scipy and scikit-image, volumes against numpy, in a Python of its own: only when it
+#             is named (the unit stage compares them where the system's Python has these)
 #   peers     the formats against independent decoders, in a Python of its own with their packages: only when it
 #             is named (the unit stage compares them where the system's Python has some)
 #   page      the pages of `eecvs report` and of a hub in a browser, at the width of a desk and of a telephone: only
@@ -122,7 +122,7 @@ metrics() {
         fi
     fi
     EECVS_PYTHON=$PWD/$folder/bin/python \
-        cargo test --workspace "${FEATURES[@]}" --test metrics_reference -- --nocapture
+        cargo test --workspace "${FEATURES[@]}" --test metrics_reference --test volumes_reference -- --nocapture
 }
 
 # Each package is wanted, none is a must: a decoder that cannot be installed is left out, by its own line.

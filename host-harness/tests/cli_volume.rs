@@ -1,4 +1,4 @@
-//! `decode --volume`, with and without `--bins`, against the f64 reference.
+//! `decode --volume`, with and without `--bins`, against the f64 reference and against sums over events.
 
 mod cli_support;
 
@@ -54,7 +54,7 @@ impl Volume {
 
 /// Compares every pixel of a volume with the reference: kept coefficients within
 /// n 2^-14 + step / 2, the others 0; the kept ones are the r largest (DCT: the first r), where the
-/// bound leaves no doubt which these are.
+/// bound leaves no doubt which these are. c_0 is the counts', kept or not.
 fn check_volume(volume: &Volume, window: &Window, m: usize, grid: usize, step: f64) {
     let transform = volume.transform;
     let [channels, height, width] = volume.shape;
@@ -76,8 +76,13 @@ fn check_volume(volume: &Volume, window: &Window, m: usize, grid: usize, step: f
             let mut magnitudes: Vec<f64> = c.iter().map(|c| c.norm()).collect();
             magnitudes.sort_by(|a, b| b.total_cmp(a));
             let least_kept = magnitudes[r - 1];
-            assert!(values.iter().filter(|v| **v != Complex64::ZERO).count() <= r);
-            for (k, (value, c)) in values.iter().zip(c).enumerate() {
+            assert!(
+                (values[0].re - c[0].re).abs() < 1e-9 && values[0].im == 0.0,
+                "{key:?}"
+            );
+            let others = values[1..].iter();
+            assert!(others.filter(|v| **v != Complex64::ZERO).count() <= r);
+            for (k, (value, c)) in values.iter().zip(c).enumerate().skip(1) {
                 let (kept, pruned) = match transform {
                     Transform::Dct => (k < r, k >= r),
                     _ => (
@@ -195,4 +200,108 @@ fn a_window_closed_early_has_its_own_volume() {
         .ok();
     let volume = Volume::read(&folder, "v.npy", Transform::Dtft);
     check_volume(&volume, &windows[index], 12, 24, 1.0 / 64.0);
+}
+
+/// Sums of polarities by bin and pixel, of every window: T x B x H x W.
+fn sums(windows: &[Window], bins: usize, [height, width]: [usize; 2]) -> Vec<f32> {
+    let mut values = vec![0.0; windows.len() * bins * height * width];
+    for (window, values) in windows.iter().zip(values.chunks_mut(bins * height * width)) {
+        for ((y, x), impulses) in impulses(window) {
+            for impulse in impulses {
+                let bin =
+                    u64::from(impulse.offset_us) * bins as u64 / u64::from(window.duration_us);
+                values[(bin as usize * height + usize::from(y)) * width + usize::from(x)] +=
+                    impulse.p as f32;
+            }
+        }
+    }
+    values
+}
+
+#[test]
+fn bins_of_events_are_their_exact_sums_whatever_m_is() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    let (sensor, events) = folder.events("scene.raw");
+    let sides = [usize::from(sensor.height), usize::from(sensor.width)];
+    let windows = windows(&events, WINDOW_US, HOST_CAPACITY);
+    for (encode, counts) in [
+        ("-m 1 --transform dtft", &[1, 5, 9, 16][..]),
+        ("-m 2 --transform dwt --coder dense", &[5, 4096]),
+        ("--bins 1", &[1]),
+        ("--bins 5 --coder dense", &[5]),
+        ("--bins 9", &[9]),
+        ("--bins 16 --coder dense", &[16]),
+    ] {
+        folder
+            .eecvs(&format!("encode scene.raw -o a.eecvs {encode}"))
+            .ok();
+        for count in counts {
+            let decode = format!("decode a.eecvs --volume v.npy --all-windows --bins {count}");
+            folder.eecvs(&decode).ok();
+            let wanted = sums(&windows, *count, sides);
+            let bytes = folder.bytes("v.npy");
+            let found = bytes[bytes.len() - 4 * wanted.len()..].as_chunks().0;
+            let found: Vec<f32> = found
+                .iter()
+                .map(|bytes| f32::from_le_bytes(*bytes))
+                .collect();
+            assert!(found == wanted, "{encode}: {count} bins");
+            let header = String::from_utf8_lossy(&bytes[..128]).into_owned();
+            let shape = format!("({}, {count}, {}, {})", windows.len(), sides[0], sides[1]);
+            assert!(header.contains(&shape), "{header}");
+            // Starts and durations.
+            let times = folder.bytes("v.times.npy");
+            let times = times[times.len() - 16 * windows.len()..].as_chunks().0;
+            let times: Vec<i64> = times
+                .iter()
+                .map(|bytes| i64::from_le_bytes(*bytes))
+                .collect();
+            let rows = windows.iter();
+            let rows = rows.flat_map(|window| [window.t0_us as i64, window.duration_us.into()]);
+            assert_eq!(times, rows.collect::<Vec<_>>());
+        }
+    }
+}
+
+#[test]
+fn volumes_that_cannot_be_made_are_refused() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    folder
+        .eecvs("encode scene.raw -o a.eecvs --mode transform")
+        .ok();
+    for (flags, parts) in [
+        (
+            "--volume v.npy --bins 4 --polarity split",
+            &["ON minus OFF"][..],
+        ),
+        (
+            "--volume v.npy --all-windows",
+            &["other transforms", "--bins"],
+        ),
+        ("--volume v.txt", &["v.txt", ".npy or .npz"]),
+        ("-o b.csv --bins 4", &["--volume"]),
+        ("-o b.csv --normalise mean-std", &["--volume"]),
+    ] {
+        folder
+            .eecvs(&format!("decode a.eecvs {flags}"))
+            .fails(parts);
+        assert!(
+            !folder.path("v.npy").exists() && !folder.path("b.csv").exists(),
+            "{flags}"
+        );
+    }
+    for usage in [
+        "--volume v.npy --voxel bilinear",
+        "--volume v.npy --window 1 --all-windows",
+        "--all-windows",
+    ] {
+        let outcome = folder.eecvs(&format!("decode a.eecvs {usage}"));
+        assert_eq!(outcome.status, Some(2), "{outcome}");
+    }
+    // Times that are solved for have polarities.
+    let line =
+        "decode a.eecvs --volume v.npz --all-windows --bins 4 --voxel bilinear --polarity split";
+    folder.eecvs(line).ok();
 }

@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use clap::{Args, ValueEnum};
 use eecvs_nostd::{Event, Polarity};
+use host_harness::cmd::volume::VolumeOptions;
 use host_harness::decode::{FrameCounts, WindowEvents};
-use host_harness::reconstruct::bins::Bins;
+use host_harness::reconstruct::DecodedWindow;
 use host_harness::reconstruct::events::Finder;
-use host_harness::reconstruct::{DecodedWindow, volume};
+use host_harness::reconstruct::volume::{Channels, Maker, Weights};
 
 use super::emulate::PacketOptions;
 use super::frame_reader::{Account, FrameReader};
@@ -27,9 +28,8 @@ pub struct Decode {
     #[arg(long, value_enum, value_name = "HOW", default_value = "exact")]
     events: Finder,
 
-    /// Volumes of B bins in time in place of coefficients
-    #[arg(long, value_name = "B", value_parser = clap::value_parser!(u16).range(1..=4096))]
-    bins: Option<u16>,
+    #[command(flatten)]
+    form: VolumeOptions,
 
     /// Bytes of a message's values, at the most: a larger volume comes in several; 0: always in one
     #[arg(long, value_name = "BYTES", default_value_t = 98_000)]
@@ -130,6 +130,7 @@ struct Making<'o> {
     options: &'o Decode,
     finder: WindowEvents,
     packer: Option<((u32, u32), crate::packing::Packer)>,
+    volumes: Maker,
     volume_seq: u64,
     picture: Option<Picture>,
 }
@@ -140,6 +141,7 @@ impl<'o> Making<'o> {
             options,
             finder: WindowEvents::new(options.events),
             packer: None,
+            volumes: Maker::new(options.form.form(), options.events),
             volume_seq: 0,
             picture: None,
         }
@@ -186,17 +188,8 @@ impl<'o> Making<'o> {
         header: &Header,
         sender: &mut Sender<Volume>,
     ) -> Result<()> {
-        let window = &window.with_pixels()?;
-        let sensor = window.header.sensor;
-        let (height, width) = (usize::from(sensor.height), usize::from(sensor.width));
-        let bins = self.options.bins.map(|bins| {
-            let header = &window.header;
-            (
-                usize::from(bins),
-                Bins::new(header.transform, header.grid, bins.into()),
-            )
-        });
-        let channels = bins.as_ref().map_or(window.channels(), |(bins, _)| *bins);
+        let volume = self.volumes.volume(window)?;
+        let [channels, height, width] = volume.shape();
         let area = height * width;
         let mut message = Volume {
             header: header.clone(),
@@ -205,10 +198,18 @@ impl<'o> Making<'o> {
             channels: channels as u32,
             height: height as u32,
             width: width as u32,
-            layout: match bins {
-                Some(_) => "bins".to_owned(),
-                None => window.header.transform.name().to_owned(),
-            },
+            layout: match self.options.form.form().channels {
+                Channels::Coefficients => window.header.transform.name(),
+                Channels::Bins {
+                    weights: Weights::Nearest,
+                    ..
+                } => "bins",
+                Channels::Bins {
+                    weights: Weights::Bilinear,
+                    ..
+                } => "bilinear",
+            }
+            .to_owned(),
             ..Volume::default()
         };
         let most = match self.options.volume_bytes as usize / size_of::<f32>() {
@@ -225,10 +226,7 @@ impl<'o> Making<'o> {
             sent
         };
         for channel in 0..channels {
-            match &bins {
-                Some((_, bins)) => bins.plane(window, channel, &mut plane),
-                None => volume::plane(window, channel, &mut plane),
-            }
+            volume.plane(channel, &mut plane);
             let mut rest = plane.as_slice();
             while !rest.is_empty() {
                 let room = most - message.values.len();

@@ -1,20 +1,20 @@
 //! `eecvs decode`: frames to events and volumes.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
 use clap::Args;
 
 use super::output::{print, print_json, rows};
+use super::volume::VolumeOptions;
 use crate::decode::{DecodeSummary, WindowReader, decode};
 use crate::formats;
 use crate::frame_file::FrameReader;
-use crate::npy::write_planes;
 use crate::output_file::{refuse_same_file, remove_partial};
 use crate::progress::Progress;
-use crate::reconstruct::bins::Bins;
 use crate::reconstruct::events::Finder;
-use crate::reconstruct::{DecodedWindow, volume};
+use crate::reconstruct::volume::Maker;
+use crate::volume_file::VolumeFile;
 
 /// Decode frames into events, a coefficient volume or a volume of time bins
 #[derive(Debug, Args)]
@@ -31,19 +31,22 @@ pub struct Decode {
     #[arg(long, value_enum, value_name = "HOW", default_value = "exact")]
     events: Finder,
 
-    /// Write the float32 C x H x W volume of one window: its coefficients, or with --bins its
-    /// inverse transform
-    #[arg(long, value_name = "V.npy")]
+    /// Write the float32 C x H x W volume of one window: its coefficients, or with --bins its bins in time. An .npz has
+    /// the window's t0_us and duration_us too
+    #[arg(long, value_name = "V.npy|V.npz")]
     volume: Option<PathBuf>,
 
-    /// Which window the volume is of, from 0
+    /// Which window the volume is of, from 0; windows without events do not count
     #[arg(long, value_name = "I", requires = "volume", default_value = "0")]
     window: u64,
 
-    /// Sample the inverse transform in B time bins instead of writing coefficients
-    #[arg(long, value_name = "B", requires = "volume",
-          value_parser = clap::value_parser!(u16).range(1..=4096))]
-    bins: Option<u16>,
+    /// Write the volumes of all windows as one array, T x C x H x W, with their times: in the .npz, or beside the .npy in
+    /// NAME.times.npy, T x 2
+    #[arg(long, requires = "volume", conflicts_with = "window")]
+    all_windows: bool,
+
+    #[command(flatten)]
+    form: VolumeOptions,
 
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -66,8 +69,15 @@ impl Decode {
             "{}: -o and --volume are the same file: give one of them another name",
             self.output.as_deref().unwrap_or(&self.input).display()
         );
+        let mut volumes = match &self.volume {
+            Some(path) => Some(VolumeFile::new(path, self.all_windows)?),
+            None => {
+                self.form.refuse()?;
+                None
+            }
+        };
+        let mut maker = Maker::new(self.form.form(), self.events);
         let mut windows = WindowReader::new(FrameReader::open(&self.input)?);
-        let mut volume_written = false;
         let mut created = false;
         let progress = Progress::new("events");
         let summary = decode(
@@ -81,10 +91,10 @@ impl Decode {
                 }
                 None => Ok(None),
             },
-            &mut |index, window| match &self.volume {
-                Some(path) if index == self.window => {
-                    volume_written = true;
-                    write_volume(path, window, self.bins)
+            &mut |index, window| match &mut volumes {
+                Some(volumes) if self.all_windows || index == self.window => {
+                    let header = &window.header;
+                    volumes.append(&maker.volume(window)?, header.t0_us, header.duration_us)
                 }
                 _ => Ok(()),
             },
@@ -101,39 +111,20 @@ impl Decode {
         if let Some(warning) = summary.link.warning() {
             eprintln!("eecvs: {name}: {warning}");
         }
-        ensure!(
-            volume_written || self.volume.is_none(),
-            "{name}: there is no window {}: the file has {}, counted from 0",
-            self.window,
-            summary.windows
-        );
+        if let Some(volumes) = volumes {
+            ensure!(
+                !volumes.is_empty(),
+                "{name}: there is no window {}: the file has {}, counted from 0",
+                self.window,
+                summary.windows
+            );
+            volumes.finish()?;
+        }
         if self.json {
             print_json(&summary)
         } else {
             print(&table(&summary))
         }
-    }
-}
-
-fn write_volume(path: &Path, window: &DecodedWindow, bins: Option<u16>) -> Result<()> {
-    let window = &window.with_pixels()?;
-    let sensor = window.header.sensor;
-    let (height, width) = (usize::from(sensor.height), usize::from(sensor.width));
-    match bins {
-        Some(count) => {
-            let count = usize::from(count);
-            let bins = Bins::new(window.header.transform, window.header.grid, count);
-            write_planes(path, [count, height, width], &mut |bin, plane| {
-                bins.plane(window, bin, plane);
-            })
-        }
-        None => write_planes(
-            path,
-            [window.channels(), height, width],
-            &mut |channel, plane| {
-                volume::plane(window, channel, plane);
-            },
-        ),
     }
 }
 

@@ -21,3 +21,4 @@ pub mod report;
 mod stop;
 pub mod variable;
 pub mod view;
+pub mod volume;

@@ -8,10 +8,10 @@
 use eecvs_nostd::{Event, Header, Polarity, Transform};
 use rayon::prelude::*;
 
-use super::bins::Bins;
 use super::pursuit::{Peaks, Placed};
 use super::recover::{self, Confidence, Confidences};
 use super::refine::Work;
+use super::volume::inverse::Inverse;
 use super::{DecodedWindow, Pixel, order};
 
 /// How event times are found in the coefficients of the DCT and the DTFT.
@@ -41,7 +41,7 @@ enum Way {
     /// Of the DCT and the DTFT.
     Peaks(Peaks),
     /// Haar synthesis on K bins.
-    Bins(Bins),
+    Bins(Inverse),
 }
 
 impl EventDecoder {
@@ -50,7 +50,7 @@ impl EventDecoder {
     pub fn new(transform: Transform, grid: u16, m: u8, finder: Finder) -> Self {
         let kept = usize::from(m).min(usize::from(grid));
         let way = if transform == Transform::Dwt {
-            Way::Bins(Bins::new(transform, grid, usize::from(grid)))
+            Way::Bins(Inverse::new(transform, grid, usize::from(grid)))
         } else {
             Way::Peaks(Peaks::new(transform, usize::from(grid), kept))
         };
@@ -151,7 +151,7 @@ impl EventDecoder {
     }
 
     /// Deals a pixel's events to the bins whose signed count they fit best.
-    fn deal_to_bins(&self, bins: &Bins, pixel: &Pixel) -> Vec<Placed> {
+    fn deal_to_bins(&self, bins: &Inverse, pixel: &Pixel) -> Vec<Placed> {
         let mut missing: Vec<f64> = (0..self.grid).map(|bin| bins.value(pixel, bin)).collect();
         let mut dealt = Vec::with_capacity((pixel.on + pixel.off) as usize);
         let mut held = vec![0_u32; self.grid];

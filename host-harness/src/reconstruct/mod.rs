@@ -1,7 +1,6 @@
 //! Descriptors back to coefficients, volumes and events.
 
 pub mod arrival;
-pub mod bins;
 pub mod coefficients;
 pub mod crowd;
 pub mod ensemble;
@@ -40,6 +39,12 @@ pub struct Pixel {
 }
 
 impl Pixel {
+    /// c_0: ON minus OFF events.
+    #[must_use]
+    pub fn net(&self) -> f64 {
+        f64::from(self.on) - f64::from(self.off)
+    }
+
     /// Dequantises a descriptor. c_0 = on - off is not rounded to a step.
     #[must_use]
     pub fn dequantise(header: &Header, descriptor: &Descriptor) -> Self {
@@ -146,31 +151,6 @@ mod tests {
             };
             let pixel = Pixel::dequantise(&header, &descriptor);
             assert_eq!(pixel.coefficients, [(0, 11.0, 0.0), expected]);
-        }
-    }
-
-    #[test]
-    fn planes_hold_re_and_im_in_turn() {
-        let window = DecodedWindow {
-            header: test_header::header(1000),
-            pixels: vec![Pixel {
-                x: 2,
-                y: 3,
-                on: 1,
-                off: 0,
-                coefficients: vec![(0, 1.0, 0.0), (5, 0.25, -0.75)],
-                single_u: None,
-            }],
-            events: vec![],
-        };
-        assert_eq!(window.channels(), 32);
-        for (channel, expected) in [(0, 1.0), (1, 0.0), (9, 0.0), (10, 0.25), (11, -0.75)] {
-            // Whatever was in the plane before is gone.
-            let mut plane = [9.0; 32];
-            volume::plane(&window, channel, &mut plane);
-            let mut only = [0.0; 32];
-            only[3 * 8 + 2] = expected;
-            assert_eq!(plane, only, "channel {channel}");
         }
     }
 }

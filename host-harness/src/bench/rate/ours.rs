@@ -6,8 +6,8 @@ use eecvs_nostd::{Coder, Event, Hybrid, Mode, Thresholds, Transform};
 use super::volume::{BINS, Grid, Volume};
 use crate::decode::WindowReader;
 use crate::frame_file::FrameReader;
-use crate::reconstruct::bins::Bins;
 use crate::reconstruct::events::Finder;
+use crate::reconstruct::volume::inverse::Inverse;
 use crate::round_trip::{Encoded, config, decode};
 use crate::source::{Source, WINDOW_US};
 
@@ -88,7 +88,7 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
             since_us == 0 && header.duration_us == WINDOW_US,
             "a window was closed early, and its volume is no other's: make the window shorter"
         );
-        let bins = bins.get_or_insert_with(|| Bins::new(header.transform, header.grid, BINS));
+        let bins = bins.get_or_insert_with(|| Inverse::new(header.transform, header.grid, BINS));
         for pixel in &window.pixels {
             cells.extend((0..BINS).map(|bin| {
                 let cell = grid.cell(number, pixel.x, pixel.y, bin);

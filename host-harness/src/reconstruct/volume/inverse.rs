@@ -7,24 +7,26 @@
 //! * DTFT: s_hat(u) = c_0 + 2 Re sum_k c_k exp(i 2 pi k u)
 //! * Haar: s_hat(u) = c_0 + sum_(j,m) c_(j,m) 2^(j/2) h(2^j u - m)
 //!
-//! The bins of a pixel sum to c_0, its signed event count, where k = 0 is kept; with every Haar
-//! coefficient and B = K they are the exact signed counts of a voxel grid.
+//! c_0 is ON minus OFF, which every pixel tells, whether k = 0 was kept or not; so a pixel's bins sum to it. With
+//! every Haar coefficient and B = K they are the exact sums of polarities.
 
 use std::f64::consts::{PI, TAU};
 
 use eecvs_nostd::Transform;
 
-use super::{DecodedWindow, Pixel, haar_support};
+use super::super::{DecodedWindow, Pixel, haar_support};
 
 /// Integrals of every atom's synthesis function over every bin.
 #[derive(Debug, Clone)]
-pub struct Bins {
+pub struct Inverse {
+    transform: Transform,
+    grid: u16,
     bins: usize,
     /// `[k * bins + b]`: weights of re and of im.
     weights: Vec<(f64, f64)>,
 }
 
-impl Bins {
+impl Inverse {
     /// Weights of K = `grid` atoms on `bins` bins.
     #[must_use]
     pub fn new(transform: Transform, grid: u16, bins: usize) -> Self {
@@ -37,25 +39,34 @@ impl Bins {
                 })
             })
             .collect();
-        Self { bins, weights }
+        Self {
+            transform,
+            grid,
+            bins,
+            weights,
+        }
+    }
+
+    /// Whether the table is that of these.
+    #[must_use]
+    pub fn fits(&self, transform: Transform, grid: u16, bins: usize) -> bool {
+        (self.transform, self.grid, self.bins) == (transform, grid, bins)
     }
 
     /// `V[b]` of one pixel, for one bin.
     #[must_use]
     pub fn value(&self, pixel: &Pixel, bin: usize) -> f64 {
-        pixel
-            .coefficients
-            .iter()
-            .map(|(k, re, im)| {
-                let (of_re, of_im) = self.weights[usize::from(*k) * self.bins + bin];
-                re * of_re + im * of_im
-            })
-            .sum()
+        let weights = |k: u16| self.weights[usize::from(k) * self.bins + bin];
+        let others = pixel.coefficients.iter().filter(|(k, ..)| *k > 0);
+        let others = others.map(|(k, re, im)| {
+            let (of_re, of_im) = weights(*k);
+            re * of_re + im * of_im
+        });
+        pixel.net() * weights(0).0 + others.sum::<f64>()
     }
 
-    /// Bin `bin` of a window as an H x W plane, rows from the top.
+    /// Adds bin `bin` of a window to an H x W plane of zeros.
     pub fn plane(&self, window: &DecodedWindow, bin: usize, plane: &mut [f32]) {
-        plane.fill(0.0);
         let width = usize::from(window.header.sensor.width);
         for pixel in &window.pixels {
             plane[usize::from(pixel.y) * width + usize::from(pixel.x)] =
@@ -105,7 +116,7 @@ mod tests {
         Pixel {
             x: 0,
             y: 0,
-            on: 1,
+            on: 3,
             off: 0,
             coefficients,
             single_u: None,
@@ -116,7 +127,7 @@ mod tests {
     fn bins_sum_to_the_net_count_for_any_number_of_bins() {
         for transform in Transform::ALL {
             for bins in [1, 3, 5, 8, 100] {
-                let table = Bins::new(transform, 16, bins);
+                let table = Inverse::new(transform, 16, bins);
                 let pixel = pixel((0..16).map(|k| (k, 3.0 - f64::from(k), 0.5)).collect());
                 let sum: f64 = (0..bins).map(|bin| table.value(&pixel, bin)).sum();
                 assert!((sum - 3.0).abs() < 1e-9, "{transform:?} {bins}: {sum}");
@@ -127,7 +138,7 @@ mod tests {
     /// The sums of the module's formulas, integrated numerically.
     #[test]
     fn bins_are_integrals_of_the_synthesis() {
-        let coefficients = vec![(0, 2.0, 0.0), (1, 0.7, -0.4), (3, -1.2, 0.9)];
+        let coefficients = vec![(0, 3.0, 0.0), (1, 0.7, -0.4), (3, -1.2, 0.9)];
         for transform in [Transform::Dct, Transform::Dtft] {
             let synthesis = |u: f64| {
                 let terms = coefficients.iter().map(|(k, re, im)| {
@@ -139,7 +150,7 @@ mod tests {
                 });
                 terms.sum::<f64>()
             };
-            let table = Bins::new(transform, 4, 5);
+            let table = Inverse::new(transform, 4, 5);
             let pixel = pixel(coefficients.clone());
             for bin in 0..5 {
                 let middles =
@@ -157,12 +168,12 @@ mod tests {
     #[test]
     fn all_haar_coefficients_give_the_counts() {
         // One event in bin 2 of 4: c_0 = 1, c_1 = -1, c_3 = sqrt 2.
-        let table = Bins::new(Transform::Dwt, 4, 4);
-        let pixel = pixel(vec![
-            (0, 1.0, 0.0),
-            (1, -1.0, 0.0),
-            (3, 2.0_f64.sqrt(), 0.0),
-        ]);
+        let table = Inverse::new(Transform::Dwt, 4, 4);
+        let coefficients = vec![(0, 1.0, 0.0), (1, -1.0, 0.0), (3, 2.0_f64.sqrt(), 0.0)];
+        let pixel = Pixel {
+            on: 1,
+            ..pixel(coefficients)
+        };
         for (bin, count) in [0.0, 0.0, 1.0, 0.0].into_iter().enumerate() {
             assert!((table.value(&pixel, bin) - count).abs() < 1e-12, "{bin}");
         }

@@ -1,0 +1,285 @@
+//! Volumes as files of numpy: `.npy`, the array alone, or `.npz`, with the windows' times.
+//!
+//! | file | arrays |
+//! |---|---|
+//! | `.npy` | float32, C x H x W of one window, T x C x H x W of all; of all, `NAME.times.npy` beside it has int64, T x 2 |
+//! | `.npz` | `volume` as above; `t0_us` and `duration_us`, int64, of T or no dimensions; compressed |
+
+use std::ffi::OsString;
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use zip::CompressionMethod;
+use zip::write::SimpleFileOptions;
+
+use crate::output_file::OutputFile;
+use crate::reconstruct::volume::Volume;
+
+/// Volumes are mostly zeros, which the lowest level has out of the way as well as any.
+const DEFLATE_LEVEL: i64 = 1;
+
+/// From this size on zip needs its 64-bit fields.
+const LARGE_BYTES: u64 = 1 << 31;
+
+/// What an ending stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Npy,
+    Npz,
+}
+
+/// A file of volumes being written: of one window, or of all.
+///
+/// How many there are is known at the end. Until then they wait in an unnamed file beside the output, so that memory is
+/// one plane's, whatever the shape is.
+#[derive(Debug)]
+pub struct VolumeFile {
+    path: PathBuf,
+    kind: Kind,
+    all: bool,
+    waiting: BufWriter<File>,
+    plane: Vec<f32>,
+    shape: Option<[usize; 3]>,
+    /// Start and duration of each window.
+    times: Vec<[i64; 2]>,
+}
+
+impl VolumeFile {
+    /// Volumes for the file at `path`; `all` where they are those of all windows, with a dimension of their own.
+    ///
+    /// # Errors
+    /// A name that ends neither with .npy nor with .npz; a folder in which no file can be created.
+    pub fn new(path: &Path, all: bool) -> Result<Self> {
+        let kind = kind(path)?;
+        let folder = path
+            .parent()
+            .filter(|folder| !folder.as_os_str().is_empty());
+        let waiting = tempfile::tempfile_in(folder.unwrap_or(Path::new(".")));
+        let waiting = waiting.with_context(|| {
+            format!(
+                "{}: no temporary file can be created beside it",
+                path.display()
+            )
+        })?;
+        Ok(Self {
+            path: path.to_owned(),
+            kind,
+            all,
+            waiting: BufWriter::new(waiting),
+            plane: Vec::new(),
+            shape: None,
+            times: Vec::new(),
+        })
+    }
+
+    /// Appends the volume of a window that begins at `t0_us` and takes `duration_us`.
+    ///
+    /// # Errors
+    /// I/O; a volume of another shape than those before it.
+    pub fn append(&mut self, volume: &Volume<'_>, t0_us: u64, duration_us: u32) -> Result<()> {
+        let shape = volume.shape();
+        let first = *self.shape.get_or_insert(shape);
+        ensure!(
+            shape == first,
+            "{}: the volume of the window at {t0_us} us is of {shape:?}, and those before of {first:?}: the windows have \
+             other transforms: ask for --bins B, or encode with --transform",
+            self.path.display()
+        );
+        let [channels, height, width] = shape;
+        self.plane.resize(height * width, 0.0);
+        let mut bytes = Vec::with_capacity(4 * self.plane.len());
+        for channel in 0..channels {
+            volume.plane(channel, &mut self.plane);
+            bytes.clear();
+            bytes.extend(self.plane.iter().flat_map(|value| value.to_le_bytes()));
+            let written = self.waiting.write_all(&bytes);
+            written.with_context(|| format!("{}: cannot be written", self.path.display()))?;
+        }
+        let t0_us =
+            i64::try_from(t0_us).with_context(|| format!("time {t0_us} us is above 2^63 us"))?;
+        self.times.push([t0_us, duration_us.into()]);
+        Ok(())
+    }
+
+    /// How many volumes there are.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.times.len()
+    }
+
+    /// Whether there is no volume.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.times.is_empty()
+    }
+
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// I/O; no volume.
+    pub fn finish(self) -> Result<()> {
+        let name = self.path.display().to_string();
+        let shape = self
+            .shape
+            .with_context(|| format!("{name}: no window, so no volume"))?;
+        let mut sides = if self.all {
+            vec![self.times.len()]
+        } else {
+            vec![]
+        };
+        sides.extend(shape);
+        let context = || format!("{name}: cannot be written");
+        let waiting = self
+            .waiting
+            .into_inner()
+            .map_err(std::io::IntoInnerError::into_error);
+        let mut waiting = waiting.with_context(context)?;
+        waiting.rewind().with_context(context)?;
+        let values = BufReader::new(waiting);
+        let mut out = OutputFile::create(&self.path)?;
+        match self.kind {
+            Kind::Npy => {
+                write_array(&mut out, "<f4", &sides, values).with_context(context)?;
+                out.finish()?;
+                if self.all {
+                    let mut out = OutputFile::create(&times_beside(&self.path))?;
+                    let bytes: Vec<u8> = self
+                        .times
+                        .iter()
+                        .flatten()
+                        .flat_map(|time| time.to_le_bytes())
+                        .collect();
+                    write_array(&mut out, "<i8", &[self.times.len(), 2], bytes.as_slice())
+                        .with_context(context)?;
+                    out.finish()?;
+                }
+            }
+            Kind::Npz => {
+                write_npz(&mut out, &sides, values, &self.times).with_context(context)?;
+                out.finish()?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes an array of `sides`, whose bytes in C order are `values`.
+fn write_array(
+    out: &mut impl Write,
+    dtype: &str,
+    sides: &[usize],
+    mut values: impl Read,
+) -> Result<()> {
+    out.write_all(&header(dtype, sides))?;
+    std::io::copy(&mut values, out)?;
+    Ok(())
+}
+
+fn write_npz(
+    out: &mut impl Write,
+    sides: &[usize],
+    values: impl Read,
+    times: &[[i64; 2]],
+) -> Result<()> {
+    let mut zip = zip::ZipWriter::new_stream(out);
+    let bytes = 4 * sides.iter().product::<usize>() as u64;
+    let options = SimpleFileOptions::default()
+        .compression_method(CompressionMethod::Deflated)
+        .compression_level(Some(DEFLATE_LEVEL));
+    zip.start_file("volume.npy", options.large_file(bytes >= LARGE_BYTES))?;
+    write_array(&mut zip, "<f4", sides, values)?;
+    // As many dimensions as windows have.
+    let of_windows = sides
+        .split_last_chunk::<3>()
+        .map_or(sides, |(before, _)| before);
+    for (at, name) in ["t0_us.npy", "duration_us.npy"].into_iter().enumerate() {
+        let column = times.iter().filter_map(|time| time.get(at));
+        let bytes: Vec<u8> = column.flat_map(|time| time.to_le_bytes()).collect();
+        zip.start_file(name, options)?;
+        write_array(&mut zip, "<i8", of_windows, bytes.as_slice())?;
+    }
+    zip.finish()?;
+    Ok(())
+}
+
+/// Version 1.0 header of an array in C order: padded with spaces to a multiple of 64 bytes, ending in a newline.
+fn header(dtype: &str, sides: &[usize]) -> Vec<u8> {
+    // As Python writes a tuple: (), (1,), (1, 2).
+    let sides: Vec<String> = sides.iter().map(ToString::to_string).collect();
+    let comma = if sides.len() == 1 { "," } else { "" };
+    let shape = sides.join(", ");
+    let mut text =
+        format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({shape}{comma}), }}");
+    let prefix = 10;
+    while (prefix + text.len() + 1) % 64 != 0 {
+        text.push(' ');
+    }
+    text.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((text.len() as u16).to_le_bytes());
+    bytes.extend(text.into_bytes());
+    bytes
+}
+
+/// `NAME.times.npy` beside `NAME.npy`.
+#[must_use]
+pub fn times_beside(path: &Path) -> PathBuf {
+    let mut name: OsString = path.file_stem().unwrap_or_default().to_owned();
+    name.push(".times.npy");
+    path.with_file_name(name)
+}
+
+fn kind(path: &Path) -> Result<Kind> {
+    let ending = path
+        .extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_ascii_lowercase();
+    match ending.as_str() {
+        "npy" => Ok(Kind::Npy),
+        "npz" => Ok(Kind::Npz),
+        _ => bail!("{}: a volume is written as .npy or .npz", path.display()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn headers_are_numpy_s() {
+        for (sides, shape) in [
+            (&[][..], "()"),
+            (&[3], "(3,)"),
+            (&[4, 2], "(4, 2)"),
+            (&[7, 5, 260, 346], "(7, 5, 260, 346)"),
+        ] {
+            let bytes = header("<f4", sides);
+            assert_eq!(bytes.len() % 64, 0);
+            assert_eq!(&bytes[..8], b"\x93NUMPY\x01\x00");
+            assert_eq!(
+                usize::from(u16::from_le_bytes([bytes[8], bytes[9]])),
+                bytes.len() - 10
+            );
+            let text = std::str::from_utf8(&bytes[10..]).unwrap();
+            let wanted = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
+            assert!(text.starts_with(&wanted) && text.ends_with('\n'), "{text}");
+        }
+    }
+
+    #[test]
+    fn endings_are_checked() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(VolumeFile::new(&folder.path().join("v.NPZ"), true).is_ok());
+        for name in ["v.txt", "v", "npy"] {
+            let refused = VolumeFile::new(&folder.path().join(name), false).unwrap_err();
+            assert!(refused.to_string().contains(".npz"), "{refused}");
+        }
+        assert_eq!(
+            times_beside(Path::new("a/v.npy")),
+            Path::new("a/v.times.npy")
+        );
+    }
+}
