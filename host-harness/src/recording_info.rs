@@ -6,6 +6,7 @@ use std::path::Path;
 use eecvs_nostd::{Event, Polarity};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
+use twox_hash::XxHash3_128;
 
 use crate::formats::intact::Intact;
 use crate::formats::{self, EventReader, Reading};
@@ -42,6 +43,9 @@ pub struct RecordingInfo {
     /// SHA-256 over the columns t (int64), x, y (uint16), p (uint8, 0 or 1), little-endian, one
     /// after the other, events in file order; lower-case hex.
     pub sha256_events: String,
+    /// Sum modulo 2^128 over the events of XXH3-128 of t, x, y, p as above, 13 bytes each: the same for the same events
+    /// in any order; lower-case hex.
+    pub xxh128_sum_events: String,
     /// What the file does not say and its reader took to be so, and why.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub assumptions: Vec<String>,
@@ -93,6 +97,7 @@ pub fn info(
         sum_x: 0,
         sum_y: 0,
         sha256_events: String::new(),
+        xxh128_sum_events: String::new(),
         assumptions: reader
             .assumptions()
             .iter()
@@ -102,6 +107,7 @@ pub fn info(
         damage: None,
     };
     let mut hash = Sha256::new();
+    let mut sum = 0_u128;
     let mut events = Vec::with_capacity(formats::BATCH_EVENTS);
     let mut bytes = Vec::new();
     for (pass, column) in COLUMNS.iter().enumerate() {
@@ -125,6 +131,7 @@ pub fn info(
             hash.update(&bytes);
             if pass == 0 {
                 info.count(&events);
+                sum = events.iter().map(unordered).fold(sum, u128::wrapping_add);
             }
             progress(read as u64);
         }
@@ -133,6 +140,7 @@ pub fn info(
             info.skipped = skipped.map(|(kind, n)| (kind.to_owned(), n)).collect();
         }
     }
+    info.xxh128_sum_events = format!("{sum:032x}");
     info.damage = reader.damage().map(|error| format!("{error:#}"));
     info.sha256_events = hash
         .finalize()
@@ -148,6 +156,19 @@ pub fn info(
         };
     }
     Ok(info)
+}
+
+/// An event's part of the hash in which order does not matter.
+fn unordered(event: &Event) -> u128 {
+    let mut bytes = [0; 13];
+    let (t, rest) = bytes.split_at_mut(8);
+    t.copy_from_slice(&event.t_us.to_le_bytes());
+    let (x, rest) = rest.split_at_mut(2);
+    x.copy_from_slice(&event.x.to_le_bytes());
+    let (y, p) = rest.split_at_mut(2);
+    y.copy_from_slice(&event.y.to_le_bytes());
+    p.fill(event.polarity as u8);
+    XxHash3_128::oneshot(&bytes)
 }
 
 impl RecordingInfo {

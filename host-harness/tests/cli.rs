@@ -297,9 +297,9 @@ fn a_recording_is_like_itself() {
         assert_eq!(number(&same, key), value, "{key}");
     }
     assert_eq!((count(&same, "events_a"), count(&same, "events_b")), (n, n));
-    assert_eq!(same.as_object().unwrap().len(), 7, "{same}");
+    assert_eq!(same.as_object().unwrap().len(), 10, "{same}");
     let table = folder.eecvs("compare scene.raw scene.raw").ok().stdout;
-    assert_eq!(table.lines().count(), 7, "{table}");
+    assert_eq!(table.lines().count(), 8, "{table}");
 }
 
 #[test]

@@ -1,12 +1,14 @@
 //! `eecvs compare`: distortion between two recordings.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use serde::Serialize;
 
 use super::options::ReadingOptions;
 use super::output::{print, print_json};
-use crate::formats;
+use crate::formats::{self, EventReader};
+use crate::metrics::clock::{self, Later};
 use crate::metrics::{self, Comparison};
 use crate::progress::Progress;
 
@@ -23,6 +25,9 @@ pub struct Compare {
     #[arg(long, value_name = "T", default_value_t = 32_768,
           value_parser = clap::value_parser!(u64).range(1..))]
     window_us: u64,
+    /// Move the clocks onto each other first, where they differ by a constant
+    #[arg(long)]
+    align: bool,
     #[command(flatten)]
     reading: ReadingOptions,
     /// Print one JSON object
@@ -37,16 +42,49 @@ impl Compare {
     /// A recording that cannot be read, or what [`metrics::compare`] refuses.
     pub fn run(self) -> Result<()> {
         let reading = self.reading.reading();
+        let open = |path: &Path, later_us: u64| -> Result<Box<dyn EventReader>> {
+            let reader = formats::open(path, &reading)?;
+            Ok(match later_us {
+                0 => reader,
+                by_us => Box::new(Later::new(reader, by_us)),
+            })
+        };
+        let context = || format!("{} against {}", self.a.display(), self.b.display());
+        let offset_us = clock::offset_us(&mut *open(&self.a, 0)?, &mut *open(&self.b, 0)?)
+            .with_context(context)?;
+        let ahead_us = if self.align {
+            offset_us.unwrap_or(0)
+        } else {
+            0
+        };
+        // To later times, as there are none before 0.
+        let [later_a, later_b] =
+            [ahead_us, ahead_us.saturating_neg()].map(|us| u64::try_from(us).unwrap_or(0));
         let progress = Progress::new("events");
         let comparison = metrics::compare(
-            &|| formats::open(&self.a, &reading),
-            &|| formats::open(&self.b, &reading),
+            &|| open(&self.a, later_a),
+            &|| open(&self.b, later_b),
             self.window_us,
             &mut |events| progress.set(events),
         );
         drop(progress);
-        let comparison = comparison
-            .with_context(|| format!("{} against {}", self.a.display(), self.b.display()))?;
+        let comparison = comparison.with_context(context)?;
+        match offset_us {
+            Some(offset_us) if offset_us != 0 && !self.align => eprintln!(
+                "eecvs: the clock of {} is {offset_us} us ahead of that of {}: --align compares without this constant",
+                self.b.display(),
+                self.a.display()
+            ),
+            None if self.align => {
+                eprintln!("eecvs: no constant between the clocks was found: compared as they are");
+            }
+            _ => {}
+        }
+        let report = Report {
+            comparison,
+            clock_offset_us: offset_us,
+            aligned: self.align && offset_us.is_some(),
+        };
         for (late, path) in [(comparison.late_a, &self.a), (comparison.late_b, &self.b)] {
             if late > 0 {
                 eprintln!(
@@ -57,11 +95,22 @@ impl Compare {
             }
         }
         if self.json {
-            print_json(&comparison)
+            print_json(&report)
         } else {
-            print(&table(&comparison))
+            print(&table(&report.comparison))
         }
     }
+}
+
+/// The JSON object.
+#[derive(Debug, Serialize)]
+struct Report {
+    #[serde(flatten)]
+    comparison: Comparison,
+    /// How much B's clock is ahead of A's; null where no constant was found.
+    clock_offset_us: Option<i64>,
+    /// Whether this was taken off before the recordings were compared.
+    aligned: bool,
 }
 
 /// One line per metric: name, value, unit.
@@ -72,6 +121,7 @@ pub fn table(c: &Comparison) -> String {
         ("events_a", c.events_a.to_string(), ""),
         ("events_b", c.events_b.to_string(), ""),
         ("exact_fraction", floor(c.exact_fraction), ""),
+        ("exact_fraction_b", floor(c.exact_fraction_b), ""),
         ("mse", format!("{:.3e}", c.mse), ""),
         ("ssim", floor(c.ssim), ""),
         ("emd_time_ms", format!("{:.6}", c.emd_time_ms), "ms"),
@@ -80,7 +130,7 @@ pub fn table(c: &Comparison) -> String {
     let width = rows.iter().map(|row| row.1.len()).max().unwrap_or(0);
     rows.iter()
         .map(|(name, value, unit)| {
-            let line = format!("{name:<14}  {value:>width$} {unit}");
+            let line = format!("{name:<16}  {value:>width$} {unit}");
             format!("{}\n", line.trim_end())
         })
         .collect()
@@ -94,6 +144,7 @@ mod tests {
         events_a: 1000,
         events_b: 7,
         exact_fraction: 1.0,
+        exact_fraction_b: 1.0,
         mse: 0.0,
         ssim: 1.0,
         emd_time_ms: 0.0,
@@ -107,7 +158,7 @@ mod tests {
         let json = serde_json::to_string(&PERFECT).unwrap();
         assert_eq!(
             json,
-            r#"{"events_a":1000,"events_b":7,"exact_fraction":1.0,"mse":0.0,"ssim":1.0,"emd_time_ms":0.0,"emd_pixel_us":12.5}"#
+            r#"{"events_a":1000,"events_b":7,"exact_fraction":1.0,"exact_fraction_b":1.0,"mse":0.0,"ssim":1.0,"emd_time_ms":0.0,"emd_pixel_us":12.5}"#
         );
     }
 
@@ -115,9 +166,9 @@ mod tests {
     fn the_table_is_aligned() {
         let table = table(&PERFECT);
         let lines: Vec<_> = table.lines().collect();
-        assert_eq!(lines[0], "events_a            1000");
-        assert_eq!(lines[2], "exact_fraction  1.000000");
-        assert_eq!(lines[6], "emd_pixel_us      12.500 us");
+        assert_eq!(lines[0], "events_a              1000");
+        assert_eq!(lines[2], "exact_fraction    1.000000");
+        assert_eq!(lines[7], "emd_pixel_us        12.500 us");
     }
 
     #[test]

@@ -1,7 +1,8 @@
 //! `eecvs encode`: a recording to frames.
 
+use std::fs::Metadata;
 use std::num::{NonZeroU32, NonZeroUsize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, ValueEnum};
@@ -9,6 +10,7 @@ use eecvs_nostd::{
     Coder, Config, Fidelity, Filter, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN,
     Quantiser, Region, Sensor, Transform, WindowConfig,
 };
+use serde::Serialize;
 
 use super::options::{FollowOptions, ReadingOptions, ThresholdOptions, tell_damage};
 use super::output::{print, print_json, rows};
@@ -420,61 +422,113 @@ impl Encode {
                 self.output.display()
             );
         }
+        let report = Report::new(&self.input, &self.output, &summary);
         if self.json {
-            print_json(&summary)?;
+            print_json(&report)?;
         } else {
-            print(&table(&summary))?;
+            print(&report.table())?;
         }
         tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())
     }
 }
 
-/// The summary for people.
-#[must_use]
-pub fn table(summary: &EncodeSummary) -> String {
-    rows([
-        ("events in", summary.events_in.to_string()),
-        ("  encoded", summary.events_encoded.to_string()),
-        ("  late", summary.events_late.to_string()),
-        ("  filtered", summary.events_filtered.to_string()),
-        ("  dropped", summary.events_dropped.to_string()),
-        (
-            "  left out by the rate control",
-            summary.events_thinned.to_string(),
-        ),
-        (
-            "approximate in time",
-            summary.events_approximate.to_string(),
-        ),
-        ("windows", summary.windows.to_string()),
-        ("  dct", summary.windows_dct.to_string()),
-        ("  dtft", summary.windows_dtft.to_string()),
-        ("  dwt", summary.windows_dwt.to_string()),
-        ("  closed early", summary.windows_truncated.to_string()),
-        (
-            "  in the order of input",
-            summary.windows_in_order.to_string(),
-        ),
-        ("levels saturated", summary.levels_saturated.to_string()),
-        ("frames", summary.frames.to_string()),
-        ("bytes out", summary.bytes_out.to_string()),
-        ("bits per event", format!("{:.2}", summary.bits_per_event)),
-        (
-            "  of which order",
-            format!("{:.3}", summary.order_bits_per_event()),
-        ),
-        (
-            "encoding",
-            format!(
-                "{:.3} s, {:.2} million events/s",
-                summary.encode_s,
-                summary.events_per_s / 1e6
+/// What `eecvs encode` reports; the fields are its JSON keys.
+#[derive(Debug, Serialize)]
+struct Report<'c> {
+    input: String,
+    output: String,
+    /// Bytes of the recording's file, where it is one.
+    bytes_in: Option<u64>,
+    /// `bytes_in` / `bytes_out`.
+    ratio: Option<f64>,
+    #[serde(flatten)]
+    summary: &'c EncodeSummary,
+    events_exact: u64,
+    bits_per_encoded_event: f64,
+}
+
+impl<'c> Report<'c> {
+    fn new(input: &Path, output: &Path, summary: &'c EncodeSummary) -> Self {
+        let metadata = std::fs::metadata(input).ok().filter(Metadata::is_file);
+        let bytes_in = metadata.map(|metadata| metadata.len());
+        Self {
+            input: input.display().to_string(),
+            output: output.display().to_string(),
+            bytes_in,
+            ratio: bytes_in
+                .filter(|_| summary.bytes_out > 0)
+                .map(|bytes_in| bytes_in as f64 / summary.bytes_out as f64),
+            summary,
+            events_exact: summary.events_exact(),
+            bits_per_encoded_event: summary.bits_per_encoded_event(),
+        }
+    }
+
+    /// For people.
+    fn table(&self) -> String {
+        let summary = self.summary;
+        let count = |count: u64| count.to_string();
+        let mut table = vec![
+            ("input", self.input.clone()),
+            ("output", self.output.clone()),
+        ];
+        if let Some((bytes_in, ratio)) = self.bytes_in.zip(self.ratio) {
+            table.push(("bytes in", count(bytes_in)));
+            table.push((
+                "bytes out",
+                format!("{}, 1 of {ratio:.2}", summary.bytes_out),
+            ));
+        } else {
+            table.push(("bytes out", count(summary.bytes_out)));
+        }
+        table.extend([
+            ("events in", count(summary.events_in)),
+            ("  encoded", count(summary.events_encoded)),
+            ("    with exact times", count(self.events_exact)),
+            ("  late", count(summary.events_late)),
+            ("  filtered", count(summary.events_filtered)),
+            ("  dropped", count(summary.events_dropped)),
+            (
+                "  left out by the rate control",
+                count(summary.events_thinned),
             ),
-        ),
-        ("  threads", summary.threads.to_string()),
-        (
-            "with reading and writing",
-            format!("{:.3} s", summary.wall_s),
-        ),
-    ])
+            ("windows", count(summary.windows)),
+        ]);
+        // Events have no transform.
+        if summary.windows_as_coefficients > 0 {
+            table.extend([
+                ("  dct", count(summary.windows_dct)),
+                ("  dtft", count(summary.windows_dtft)),
+                ("  dwt", count(summary.windows_dwt)),
+                ("levels saturated", count(summary.levels_saturated)),
+            ]);
+        }
+        table.extend([
+            ("  closed early", count(summary.windows_truncated)),
+            ("  in the order of input", count(summary.windows_in_order)),
+            ("frames", count(summary.frames)),
+            ("bits per event", format!("{:.2}", summary.bits_per_event)),
+        ]);
+        if summary.events_encoded != summary.events_in {
+            let bits = format!("{:.2}", self.bits_per_encoded_event);
+            table.push(("bits per encoded event", bits));
+        }
+        if summary.bytes_order > 0 {
+            let bits = format!("{:.3}", summary.order_bits_per_event());
+            table.push(("  for the order", bits));
+        }
+        let speed = summary.events_per_s / 1e6;
+        table.extend([
+            (
+                "encoding",
+                format!("{:.3} s, {speed:.2} million events/s", summary.encode_s),
+            ),
+            ("  threads", summary.threads.to_string()),
+            (
+                "with reading and writing",
+                format!("{:.3} s", summary.wall_s),
+            ),
+        ]);
+        rows(table)
+    }
 }

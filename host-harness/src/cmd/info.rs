@@ -66,6 +66,7 @@ fn table(info: &RecordingInfo) -> String {
         ("sum_x", info.sum_x.to_string()),
         ("sum_y", info.sum_y.to_string()),
         ("sha256_events", info.sha256_events.clone()),
+        ("xxh128_sum_events", info.xxh128_sum_events.clone()),
     ]);
     for assumption in &info.assumptions {
         text += &format!("taken for      {assumption}\n");

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use eecvs_nostd::{Fidelity, Mode};
+use eecvs_nostd::{Fidelity, Header, Mode};
 use serde::Serialize;
 
 use crate::frame_file::{FrameReader, Located};
@@ -40,6 +40,8 @@ struct Row {
     coder: Option<&'static str>,
     time_tolerance_us: Option<u32>,
     bins: Option<u16>,
+    /// What of the window's events is told.
+    fidelity: String,
     /// Where times are told by scans.
     scan_period_us: Option<f64>,
     /// Where the order of events of equal time is told: bytes of it.
@@ -145,6 +147,7 @@ impl Row {
             coder,
             time_tolerance_us,
             bins,
+            fidelity: fidelity(header),
             scan_period_us: header
                 .scans
                 .map(|scans| f64::from(scans.readout().period_q16()) / 65_536.0),
@@ -169,13 +172,14 @@ impl Row {
     fn print_titles(out: &mut impl Write) -> std::io::Result<()> {
         writeln!(
             out,
-            "{:>6} {:>6} {:>17} {:>9} {:>8} {:>8} {:>8} {:4} {:>3} {:>4} {:>9} {:>8} {:>5} {:>5} {:>5} {:>6}",
+            "{:>6} {:>6} {:>17} {:>9} {:>8} {:>8} {:>15} {:>8} {:4} {:>3} {:>4} {:>9} {:>8} {:>5} {:>5} {:>5} {:>6}",
             "index",
             "seq",
             "t0_us",
             "dur_us",
             "events",
             "coder",
+            "fidelity",
             "regime",
             "tr",
             "m",
@@ -197,6 +201,7 @@ impl Row {
             duration_us,
             events,
             coder,
+            fidelity,
             regime,
             transform,
             m,
@@ -214,8 +219,24 @@ impl Row {
         let coder = coder.unwrap_or("");
         writeln!(
             out,
-            "{index:>6} {seq:>6} {t0_us:>17} {duration_us:>9} {events:>8} {coder:>8} {regime:>8} \
-             {transform:4} {m:>3} {grid:>4} {step:>9} {bytes:>8} {late:>5} {filtered:>5} {dropped:>5} {order:>6}"
+            "{index:>6} {seq:>6} {t0_us:>17} {duration_us:>9} {events:>8} {coder:>8} \
+             {fidelity:>15} {regime:>8} {transform:4} {m:>3} {grid:>4} {step:>9} {bytes:>8} {late:>5} {filtered:>5} {dropped:>5} {order:>6}"
         )
     }
+}
+
+/// What a frame tells of the events of its window.
+fn fidelity(header: &Header) -> String {
+    let told = match header.mode {
+        Mode::Transform | Mode::Coefficients(_) => "coefficients".to_owned(),
+        Mode::Hybrid(hybrid) => match hybrid.fidelity {
+            Fidelity::Lossless => "exact".to_owned(),
+            Fidelity::ToleranceUs(tolerance_us) => format!("within {tolerance_us} us"),
+            Fidelity::Bins(1) => "1 bin".to_owned(),
+            Fidelity::Bins(count) => format!("{count} bins"),
+        },
+    };
+    // The rate control left events of the window out.
+    let thinned = if header.thinned > 0 { ", thinned" } else { "" };
+    told + thinned
 }

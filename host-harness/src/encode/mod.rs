@@ -49,17 +49,20 @@ pub struct EncodeSummary {
     pub events_approximate: u64,
     /// Windows with events.
     pub windows: u64,
-    /// Windows sent with the DCT.
+    /// Windows whose volume is of the DCT.
     pub windows_dct: u64,
-    /// Windows sent with the DTFT.
+    /// Windows whose volume is of the DTFT.
     pub windows_dtft: u64,
-    /// Windows sent with the Haar DWT.
+    /// Windows whose volume is of the Haar DWT.
     pub windows_dwt: u64,
     /// Windows closed early because the buffer was full.
     pub windows_truncated: u64,
     /// Windows whose events of equal time are decoded in their order.
     pub windows_in_order: u64,
-    /// Bytes that tell it.
+    /// Windows that were sent as coefficients; those sent as events count by the transform of their volume too.
+    #[serde(default)]
+    pub windows_as_coefficients: u64,
+    /// Bytes that tell the order.
     pub bytes_order: u64,
     /// Quantised levels cut to 32 bits.
     pub levels_saturated: u64,
@@ -101,6 +104,7 @@ impl EncodeSummary {
         if header.part == 0 && header.window_events > 0 {
             self.windows += 1;
             self.windows_truncated += u64::from(header.truncated);
+            self.windows_as_coefficients += u64::from(header.mode.is_transform());
             match header.transform {
                 Transform::Dct => self.windows_dct += 1,
                 Transform::Dtft => self.windows_dtft += 1,
@@ -113,6 +117,18 @@ impl EncodeSummary {
     #[must_use]
     pub fn order_bits_per_event(&self) -> f64 {
         self.bytes_order as f64 * 8.0 / self.events_in.max(1) as f64
+    }
+
+    /// 8 `bytes_out` / `events_encoded`; 0 without events: where a filter left events out, what each of the others took.
+    #[must_use]
+    pub fn bits_per_encoded_event(&self) -> f64 {
+        self.bytes_out as f64 * 8.0 / self.events_encoded.max(1) as f64
+    }
+
+    /// Encoded events whose times are exact.
+    #[must_use]
+    pub const fn events_exact(&self) -> u64 {
+        self.events_encoded.saturating_sub(self.events_approximate)
     }
 
     fn finish(&mut self, encoding: Duration, wall: Duration) {

@@ -69,7 +69,7 @@ pub use mat::MatWriter;
 pub use nmnist::NmnistWriter;
 pub use npz_writer::NpzWriter;
 pub use parquet::ParquetWriter;
-pub use reading::{Assumption, BadEvents, Columns, Reading, TimeUnit};
+pub use reading::{Assumption, BadEvents, Columns, Reading, SIZE_TAKEN, TimeUnit};
 pub use text_writer::TextWriter;
 
 /// Events of one call of [`EventReader::read`], at the most (a reader may return fewer).

@@ -145,6 +145,9 @@ pub enum BadEvents {
     LeaveOut,
 }
 
+/// [`Assumption::what`] of a sensor's size that is the largest x and y of the file's events.
+pub const SIZE_TAKEN: &str = "sensor size";
+
 /// Something that a file does not say and its reader took to be so.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Assumption {

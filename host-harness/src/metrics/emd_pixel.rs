@@ -1,34 +1,104 @@
 //! Cost of moving the events of one recording onto those of the other, pixel by pixel.
+//!
+//! Per pixel and polarity, events of A are paired with events of B so that the sum over the pairs of |dt|, plus T for each
+//! event of either side that has no partner, is least. Windows do not part the pairs: a constant shift costs what it is.
+//!
+//! Pairs of a least sum do not cross. Walk the merged times from left to right, and let w be the number of A's events that
+//! wait for a partner, less that of B's. While w events wait, a gap of length d costs d |w|. An event of A adds 1 to w, one
+//! of B takes 1 off, and an event may give up waiting for T. The least cost f(w) so far is convex, its slopes
+//! f(w + 1) - f(w) lie within -T..T as giving up costs no more, and only those strictly inside are kept, in two stacks:
+//!
+//! * a gap adds d to the slopes at w >= 0 and takes d off those below, each up to the limit;
+//! * an event of A moves f by 1, so that the uppermost slope below 0 becomes the lowest above: f(0) falls by it;
+//! * an event of B moves it back: f(0) grows by it.
+//!
+//! At the end nobody waits, so the cost is f(0). Exact, in O(1) amortised time an event; what is kept of a pixel is gone
+//! 2 T after its last event.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{HashMap, VecDeque};
 
-use eecvs_nostd::Event;
+use eecvs_nostd::{Event, Polarity};
 
-/// Matches event times at the least cost; holds the buffers between calls.
-#[derive(Debug, Default)]
+/// A pixel and a polarity.
+type Group = (u16, u16, Polarity);
+
+/// Matches event times at the least cost, over any number of windows.
+#[derive(Debug)]
 pub struct Matcher {
-    few: Vec<u64>,
-    many: Vec<u64>,
-    below: BinaryHeap<i128>,
-    above: BinaryHeap<Reverse<i128>>,
+    /// T.
+    unmatched_us: u64,
+    waiting: HashMap<Group, Waiting>,
+    /// Sum of f(0) over all pixels.
+    cost: i128,
+    /// Groups that were kept when they were last looked through.
+    kept: usize,
+}
+
+/// The slopes of f that lie strictly inside of -T..T.
+#[derive(Debug, Default)]
+struct Waiting {
+    last_us: u64,
+    /// At w = 0, 1, ..., ascending; less `above_offset`.
+    above: VecDeque<i128>,
+    above_offset: i128,
+    /// At w = -1, -2, ..., descending; less `below_offset`.
+    below: VecDeque<i128>,
+    below_offset: i128,
+}
+
+impl Waiting {
+    /// Lets time pass up to `t_us`.
+    fn pass(&mut self, t_us: u64, limit: i128) {
+        let gap = i128::from(t_us.saturating_sub(self.last_us));
+        self.last_us = self.last_us.max(t_us);
+        self.above_offset += gap;
+        self.below_offset -= gap;
+        let beyond = |slope: &i128| *slope + self.above_offset >= limit;
+        while self.above.back().is_some_and(beyond) {
+            self.above.pop_back();
+        }
+        let beyond = |slope: &i128| *slope + self.below_offset <= -limit;
+        while self.below.back().is_some_and(beyond) {
+            self.below.pop_back();
+        }
+    }
+
+    /// An event of A or of B; what f(0) grows by.
+    fn event(&mut self, is_a: bool, limit: i128) -> i128 {
+        if is_a {
+            let slope = self.below.pop_front();
+            let slope = slope.map_or(-limit, |slope| slope + self.below_offset);
+            self.above.push_front(slope - self.above_offset);
+            -slope
+        } else {
+            let slope = self.above.pop_front();
+            let slope = slope.map_or(limit, |slope| slope + self.above_offset);
+            self.below.push_front(slope - self.below_offset);
+            slope
+        }
+    }
 }
 
 impl Matcher {
-    /// Sum over the pixels and polarities of a window, in us.
-    ///
-    /// Per pixel and polarity min(a, b) pairs, chosen so that the sum of |dt| is least; each
-    /// pair costs |dt| and each event left over, of either side, `window_us`. Both windows must
-    /// be in [`super::frame::pixel_order`]. `emd_pixel_us` = this, summed over the windows,
-    /// / events of A.
-    ///
-    /// Exact; O(n log n) time and O(n) memory for n events of a pixel, whatever their counts.
+    /// An event without a partner costs `unmatched_us`.
     #[must_use]
-    pub fn window_cost(&mut self, a: &[Event], b: &[Event], window_us: u64) -> u128 {
+    pub fn new(unmatched_us: u64) -> Self {
+        Self {
+            unmatched_us,
+            waiting: HashMap::new(),
+            cost: 0,
+            kept: 0,
+        }
+    }
+
+    /// Takes the events of the next window of both recordings, each in [`super::frame::pixel_order`]; no event of it is
+    /// before one of the windows that were taken.
+    pub fn add_window(&mut self, a: &[Event], b: &[Event]) {
         let group = |event: &Event| (event.y, event.x, event.polarity);
-        let first_group = |events: &[Event]| events.first().map(group);
+        let limit = i128::from(self.unmatched_us);
         let (mut rest_a, mut rest_b) = (a, b);
-        let mut cost = 0;
+        let mut earliest_us = u64::MAX;
+        let first_group = |events: &[Event]| events.first().map(group);
         while let Some(key) = first_group(rest_a)
             .into_iter()
             .chain(first_group(rest_b))
@@ -39,97 +109,46 @@ impl Matcher {
             let (in_a, after_a) = rest_a.split_at(len_a);
             let (in_b, after_b) = rest_b.split_at(len_b);
             (rest_a, rest_b) = (after_a, after_b);
-            cost += len_a.abs_diff(len_b) as u128 * u128::from(window_us);
-            if len_a == 0 || len_b == 0 {
-                continue;
+            let waiting = self.waiting.entry(key).or_default();
+            let (mut in_a, mut in_b) = (in_a.iter().peekable(), in_b.iter().peekable());
+            loop {
+                let (t_us, is_a) = match (in_a.peek(), in_b.peek()) {
+                    (None, None) => break,
+                    (Some(a), None) => (a.t_us, true),
+                    (Some(a), Some(b)) if a.t_us <= b.t_us => (a.t_us, true),
+                    (_, Some(b)) => (b.t_us, false),
+                };
+                let _ = if is_a { in_a.next() } else { in_b.next() };
+                earliest_us = earliest_us.min(t_us);
+                waiting.pass(t_us, limit);
+                self.cost += waiting.event(is_a, limit);
             }
-            self.few.clear();
-            self.many.clear();
-            let (few, many) = if len_a <= len_b {
-                (in_a, in_b)
-            } else {
-                (in_b, in_a)
-            };
-            self.few.extend(few.iter().map(|e| e.t_us));
-            self.many.extend(many.iter().map(|e| e.t_us));
-            cost += self.least_cost();
         }
-        cost
+        self.forget(earliest_us);
     }
 
-    /// Least sum of |dt| that pairs every time of `few` with one of `many`; both are sorted.
-    fn least_cost(&mut self) -> u128 {
-        if self.few.len() == self.many.len() {
-            // On a line the pairs of an optimal assignment do not cross.
-            let pairs = self.few.iter().zip(&self.many);
-            return pairs.map(|(f, m)| u128::from(f.abs_diff(*m))).sum();
+    /// Lets go of pixels in which nobody can wait any longer at `t_us`, whenever there may be as many of them as others.
+    fn forget(&mut self, t_us: u64) {
+        if self.waiting.len() <= 2 * self.kept + 1024 {
+            return;
         }
-        self.slope_trick()
+        let limit = i128::from(self.unmatched_us);
+        self.waiting.retain(|_, waiting| {
+            waiting.pass(t_us, limit);
+            !waiting.above.is_empty() || !waiting.below.is_empty()
+        });
+        self.kept = self.waiting.len();
     }
 
-    /// Walks the merged times from left to right. Let v be the number of `few` met so far minus
-    /// the number of `many` chosen so far: |v| pairs span the gap to the next time, so the cost
-    /// is the sum over the gaps of length * |v|. The least cost f(v) is convex, and only its
-    /// slopes f(v+1) - f(v) are kept: those at v < 0 in `below`, those at v >= 0 in `above`, each
-    /// with an offset common to all its entries.
-    ///
-    /// * a gap of length d adds d|v|: -d to `below`, +d to `above`;
-    /// * a time of `few` turns f(v) into f(v-1): the largest slope of `below` moves to `above`;
-    /// * a time of `many` may be chosen, f(v) = min(f(v), f(v+1)): a slope 0 joins the sorted
-    ///   slopes, and `below` gains one entry.
-    ///
-    /// The answer is `f(0) = f(v_max) - sum of above`, where `v_max` chooses nothing.
-    fn slope_trick(&mut self) -> u128 {
-        self.below.clear();
-        self.above.clear();
-        let (mut below_offset, mut above_offset) = (0_i128, 0_i128);
-        // Slopes of minus infinity in `above`: values v below the least that can be reached.
-        let mut unreachable = 0_usize;
-        let mut v_max = 0_i128;
-        let mut cost_at_v_max = 0_i128;
-        let mut previous = None;
-        let (mut few, mut many) = (self.few.iter().peekable(), self.many.iter().peekable());
-        loop {
-            let (t, is_few) = match (few.peek(), many.peek()) {
-                (None, None) => break,
-                (Some(f), Some(m)) if f <= m => (**f, true),
-                (Some(f), None) => (**f, true),
-                (_, Some(m)) => (**m, false),
-            };
-            let gap = i128::from(t) - i128::from(previous.unwrap_or(t));
-            previous = Some(t);
-            below_offset -= gap;
-            above_offset += gap;
-            cost_at_v_max += gap * v_max;
-            if is_few {
-                few.next();
-                v_max += 1;
-                match self.below.pop() {
-                    Some(slope) => {
-                        let slope = slope + below_offset;
-                        self.above.push(Reverse(slope - above_offset));
-                    }
-                    None => unreachable += 1,
-                }
-                continue;
-            }
-            many.next();
-            if unreachable > 0 {
-                unreachable -= 1;
-                self.above.push(Reverse(-above_offset));
-                continue;
-            }
-            let least = self.above.peek().map(|slope| slope.0 + above_offset);
-            let Some(least) = least.filter(|slope| *slope < 0) else {
-                self.below.push(-below_offset);
-                continue;
-            };
-            self.above.pop();
-            self.below.push(least - below_offset);
-            self.above.push(Reverse(-above_offset));
-        }
-        let above: i128 = self.above.iter().map(|slope| slope.0 + above_offset).sum();
-        (cost_at_v_max - above).unsigned_abs()
+    /// The cost of the events so far, were there no more, in us.
+    #[must_use]
+    pub fn cost(&self) -> u128 {
+        self.cost.unsigned_abs()
+    }
+
+    /// Lets nobody wait for what comes next: the clock begins anew.
+    pub fn end_run(&mut self) {
+        self.waiting.clear();
     }
 }
 
@@ -140,13 +159,15 @@ mod tests {
     use crate::metrics::memory_reader::event;
     use proptest::prelude::*;
 
-    fn cost(a: &[u64], b: &[u64], window_us: u64) -> u128 {
+    fn cost(a: &[u64], b: &[u64], unmatched_us: u64) -> u128 {
         let events = |times: &[u64]| {
             let mut events: Vec<_> = times.iter().map(|t| event(*t, 3, 4, true)).collect();
             events.sort_by_key(pixel_order);
             events
         };
-        Matcher::default().window_cost(&events(a), &events(b), window_us)
+        let mut matcher = Matcher::new(unmatched_us);
+        matcher.add_window(&events(a), &events(b));
+        matcher.cost()
     }
 
     #[test]
@@ -161,6 +182,10 @@ mod tests {
         assert_eq!(cost(&[10, 20], &[11, 19, 30], 1000), 1002);
         // The nearest to both 10 and 12 is 11, but it can serve only one of them.
         assert_eq!(cost(&[10, 12], &[11, 100, 200], 1000), 1000 + 1 + 88);
+        // A pair further apart than 2 T costs more than two events without partners.
+        assert_eq!(cost(&[10], &[210], 100), 200);
+        assert_eq!(cost(&[10], &[209], 100), 199);
+        assert_eq!(cost(&[10], &[9999], 100), 200);
     }
 
     #[test]
@@ -173,8 +198,10 @@ mod tests {
         let mut b = [event(7, 1, 1, false), event(9, 1, 2, true)];
         a.sort_by_key(pixel_order);
         b.sort_by_key(pixel_order);
+        let mut matcher = Matcher::new(100);
+        matcher.add_window(&a, &b);
         // OFF: a pair of cost 2. One ON of A in each of two pixels and one of B are left over.
-        assert_eq!(Matcher::default().window_cost(&a, &b, 100), 2 + 300);
+        assert_eq!(matcher.cost(), 2 + 300);
     }
 
     #[test]
@@ -187,52 +214,102 @@ mod tests {
         // All of A at 0 against B at 1, 2, 3, ...: the nearest 40,000 of B are taken.
         let b: Vec<u64> = (1..=65_535).collect();
         let sum = 40_000_u128 * 40_001 / 2;
-        assert_eq!(cost(&vec![0; 40_000], &b, 7), sum + 25_535 * 7);
+        let far = 1 << 20;
+        assert_eq!(
+            cost(&vec![0; 40_000], &b, far),
+            sum + 25_535 * u128::from(far)
+        );
     }
 
-    /// Least cost over every way to choose pairs.
-    fn exhaustive(few: &[u64], many: &[u64], used: u32) -> u128 {
-        let Some((first, rest)) = few.split_first() else {
-            return 0;
+    #[test]
+    fn a_shift_costs_itself_across_windows() {
+        let (mut matcher, mut times) = (Matcher::new(1000), 0..);
+        let times: Vec<u64> = times.by_ref().take(500).map(|i: u64| i * 117).collect();
+        for window in 0..60 {
+            let inside = |shift_us: u64| -> Vec<Event> {
+                let times = times.iter().map(|t| t + shift_us);
+                let times = times.filter(|t| t / 1000 == window);
+                times.map(|t| event(t, 3, 4, true)).collect()
+            };
+            matcher.add_window(&inside(0), &inside(50));
+        }
+        assert_eq!(matcher.cost(), 500 * 50);
+    }
+
+    #[test]
+    fn nobody_waits_for_another_run() {
+        let mut matcher = Matcher::new(1000);
+        matcher.add_window(&[event(500, 3, 4, true)], &[]);
+        matcher.end_run();
+        matcher.add_window(&[], &[event(510, 3, 4, true)]);
+        assert_eq!(matcher.cost(), 2000);
+    }
+
+    #[test]
+    fn pixels_that_are_done_take_no_memory() {
+        let mut matcher = Matcher::new(10);
+        for window in 0..2000_u64 {
+            let (x, y) = ((window % 64) as u16, (window / 64) as u16);
+            let events = [event(window * 100, x, y, true)];
+            matcher.add_window(&events, &events);
+        }
+        assert_eq!(matcher.cost(), 0);
+        assert!(matcher.waiting.len() < 1100, "{}", matcher.waiting.len());
+    }
+
+    /// Least cost over every way to pair events or to leave them.
+    fn exhaustive(a: &[u64], b: &[u64], used: u32, unmatched: u128) -> u128 {
+        let Some((first, rest)) = a.split_first() else {
+            return (b.len() as u128 - u128::from(used.count_ones())) * unmatched;
         };
-        (0..many.len())
+        let left = unmatched + exhaustive(rest, b, used, unmatched);
+        (0..b.len())
             .filter(|i| used & (1 << i) == 0)
-            .map(|i| u128::from(first.abs_diff(many[i])) + exhaustive(rest, many, used | (1 << i)))
-            .min()
-            .unwrap()
+            .map(|i| {
+                u128::from(first.abs_diff(b[i])) + exhaustive(rest, b, used | (1 << i), unmatched)
+            })
+            .fold(left, u128::min)
     }
 
     proptest! {
         #[test]
         fn equals_exhaustive_assignment(
             a in proptest::collection::vec(0_u64..40, 0..6),
-            b in proptest::collection::vec(0_u64..40, 0..7),
+            b in proptest::collection::vec(0_u64..40, 0..6),
+            unmatched in 0_u64..30,
         ) {
-            let (few, many) = if a.len() <= b.len() { (&a, &b) } else { (&b, &a) };
-            let left = (many.len() - few.len()) as u128 * 1000;
-            prop_assert_eq!(cost(&a, &b, 1000), exhaustive(few, many, 0) + left);
+            prop_assert_eq!(cost(&a, &b, unmatched), exhaustive(&a, &b, 0, unmatched.into()));
         }
 
-        /// D(i, j): the first i of the few matched within the first j of the many.
+        /// D(i, j): the first i of A and the first j of B; in any number of windows.
         #[test]
         fn equals_dynamic_programming(
-            a in proptest::collection::vec(0_u64..2000, 0..60),
-            b in proptest::collection::vec(0_u64..2000, 0..60),
+            mut a in proptest::collection::vec(0_u64..2000, 0..60),
+            mut b in proptest::collection::vec(0_u64..2000, 0..60),
+            unmatched in 1_u64..1500,
+            windows in 1_u64..6,
         ) {
-            let (mut few, mut many) = if a.len() <= b.len() { (a, b) } else { (b, a) };
-            few.sort_unstable();
-            many.sort_unstable();
-            let mut best = vec![0_u128; many.len() + 1];
-            for (i, f) in few.iter().enumerate() {
-                let mut next = vec![u128::MAX / 2; many.len() + 1];
-                for j in i + 1..=many.len() {
-                    let pair = best[j - 1] + u128::from(f.abs_diff(many[j - 1]));
-                    next[j] = pair.min(next[j - 1]);
+            a.sort_unstable();
+            b.sort_unstable();
+            let mut best: Vec<u64> = (0..=b.len() as u64).map(|j| j * unmatched).collect();
+            for t in &a {
+                let mut next = vec![best[0] + unmatched];
+                for (j, other) in b.iter().enumerate() {
+                    let pair = best[j] + t.abs_diff(*other);
+                    next.push(pair.min(best[j + 1] + unmatched).min(next[j] + unmatched));
                 }
                 best = next;
             }
-            let left = (many.len() - few.len()) as u128 * 5000;
-            prop_assert_eq!(cost(&few, &many, 5000), best[many.len()] + left);
+            let mut matcher = Matcher::new(unmatched);
+            let length = 2000_u64.div_ceil(windows);
+            for window in 0..windows {
+                let inside = |times: &[u64]| -> Vec<Event> {
+                    let times = times.iter().filter(|t| **t / length == window);
+                    times.map(|t| event(*t, 3, 4, true)).collect()
+                };
+                matcher.add_window(&inside(&a), &inside(&b));
+            }
+            prop_assert_eq!(matcher.cost(), u128::from(best[b.len()]));
         }
     }
 }

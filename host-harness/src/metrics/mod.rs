@@ -7,10 +7,11 @@
 //! |---|---|
 //! | `events_a`, `events_b` | events read, the late ones included |
 //! | `exact_fraction` | events of A found in B with the same t, x, y, p (multiset) / events of A |
+//! | `exact_fraction_b` | the same events / events of B: what B has too much lowers it |
 //! | `mse` | mean of (a - b)^2 over pixels and windows |
 //! | `ssim` | mean over windows of the structural similarity |
 //! | `emd_time_ms` | mean over the windows that hold events of the W1 distance of the times |
-//! | `emd_pixel_us` | least-cost matching per pixel, polarity and window, per event of A |
+//! | `emd_pixel_us` | least-cost matching per pixel and polarity ([`emd_pixel`]), per event of A |
 //!
 //! `mse` and `ssim` average over every window between A's first and A's last, empty ones (mse 0,
 //! ssim 1) included, and over those further windows in which B holds events. The empty time
@@ -19,9 +20,10 @@
 //! A late event (see [`windows`]) is in no frame and no time distribution; it counts as an event
 //! that is not found and not matched.
 //!
-//! Where the sensors differ (a text file without a header), frames have the larger width and the
-//! larger height of both.
+//! Recordings of different sensors are refused. A size that a file does not state, but its reader took for the
+//! largest x and y, is no sensor's: frames have the larger width and the larger height of both.
 
+pub mod clock;
 pub mod emd_pixel;
 pub mod emd_time;
 pub mod exact_fraction;
@@ -37,7 +39,7 @@ use eecvs_nostd::Sensor;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::formats::EventReader;
+use crate::formats::{EventReader, SIZE_TAKEN};
 use emd_pixel::Matcher;
 use frame::{PeakFinder, frame_pair, pixel_order};
 use ssim::Ssim;
@@ -55,6 +57,9 @@ pub struct Comparison {
     pub events_b: u64,
     /// Share of A's events that B holds, 0 to 1; 1 where both are empty.
     pub exact_fraction: f64,
+    /// Share of B's events that A holds, 0 to 1; 1 where both are empty.
+    #[serde(default)]
+    pub exact_fraction_b: f64,
     /// Mean squared error of the frames, 0 to 4.
     pub mse: f64,
     /// Structural similarity of the frames, -1 to 1.
@@ -92,7 +97,7 @@ pub fn compare(
     let in_a = || open_a().context("recording A");
     let in_b = || open_b().context("recording B");
     let (mut start_a, mut start_b) = (in_a()?, in_b()?);
-    let sensor = larger(start_a.sensor(), start_b.sensor());
+    let sensor = common_sensor(&*start_a, &*start_b)?;
     let first_a = first_time_us(&mut *start_a).context("recording A")?;
     let first_b = first_time_us(&mut *start_b).context("recording B")?;
     ensure!(
@@ -126,7 +131,7 @@ pub fn compare(
         Windower::new(in_b()?, grid, sensor),
     );
     let ssim = Ssim::new(sensor, peak);
-    let mut matcher = Matcher::default();
+    let mut matcher = Matcher::new(window_us);
     let mut sums = Sums::default();
     while let Some(mut pair) = pairs.next_pair()? {
         let outside = span_a.is_none_or(|(first, last)| !(first..=last).contains(&pair.index));
@@ -140,14 +145,28 @@ pub fn compare(
         pixels: f64::from(sensor.pixels()),
         peak: peak as f64,
     };
-    Ok(sums.comparison(&frames, pairs.a(), pairs.b(), window_us))
+    Ok(sums.comparison(&frames, pairs.a(), pairs.b(), matcher.cost(), window_us))
 }
 
-fn larger(a: Sensor, b: Sensor) -> Sensor {
-    Sensor {
-        width: a.width.max(b.width),
-        height: a.height.max(b.height),
-    }
+/// What both recordings are of.
+fn common_sensor(a: &dyn EventReader, b: &dyn EventReader) -> Result<Sensor> {
+    let (of_a, of_b) = (a.sensor(), b.sensor());
+    let is_stated = |reader: &dyn EventReader| {
+        let mut assumptions = reader.assumptions().iter();
+        assumptions.all(|assumption| assumption.what != SIZE_TAKEN)
+    };
+    ensure!(
+        of_a == of_b || !is_stated(a) || !is_stated(b),
+        "the recordings are of different sensors, {}x{} and {}x{}: nothing of theirs can be compared",
+        of_a.width,
+        of_a.height,
+        of_b.width,
+        of_b.height
+    );
+    Ok(Sensor {
+        width: of_a.width.max(of_b.width),
+        height: of_a.height.max(of_b.height),
+    })
 }
 
 /// What the frame metrics are averaged over.
@@ -166,7 +185,6 @@ struct Sums {
     squared_error: u128,
     dissimilarity: f64,
     emd_time_us: f64,
-    emd_pixel_us: u128,
 }
 
 impl Sums {
@@ -178,18 +196,17 @@ impl Sums {
         let pixels = frame_pair(a, b);
         self.squared_error += mse::squared_error(&pixels);
         self.matched += exact_fraction::matched(a, b);
-        let (dissimilarity, (emd_time_us, emd_pixel_us)) = rayon::join(
+        let (dissimilarity, emd_time_us) = rayon::join(
             || ssim.dissimilarity(&pixels),
             || {
                 let mut times_a: Vec<u64> = a.iter().map(|e| e.t_us).collect();
                 let mut times_b: Vec<u64> = b.iter().map(|e| e.t_us).collect();
-                let time = emd_time::wasserstein_us(&mut times_a, &mut times_b, window_us);
-                (time, matcher.window_cost(a, b, window_us))
+                matcher.add_window(a, b);
+                emd_time::wasserstein_us(&mut times_a, &mut times_b, window_us)
             },
         );
         self.dissimilarity += dissimilarity;
         self.emd_time_us += emd_time_us;
-        self.emd_pixel_us += emd_pixel_us;
     }
 
     fn comparison(
@@ -197,24 +214,26 @@ impl Sums {
         frames: &Frames,
         a: &Windower,
         b: &Windower,
+        matching_us: u128,
         window_us: u64,
     ) -> Comparison {
         let events_a = a.events_read();
-        let exact_fraction = if events_a == 0 {
-            1.0
-        } else {
-            self.matched as f64 / events_a as f64
+        let share = |events: u64| match events {
+            // Nothing is missing.
+            0 => 1.0,
+            events => self.matched as f64 / events as f64,
         };
         let late_cost = u128::from(a.late() + b.late()) * u128::from(window_us);
         let scale = frames.peak.max(1.0).powi(2) * frames.pixels * frames.windows.max(1.0);
         Comparison {
             events_a,
             events_b: b.events_read(),
-            exact_fraction,
+            exact_fraction: share(events_a),
+            exact_fraction_b: share(b.events_read()),
             mse: self.squared_error as f64 / scale,
             ssim: 1.0 - self.dissimilarity / frames.windows.max(1.0),
             emd_time_ms: self.emd_time_us / self.windows_with_events.max(1) as f64 / 1000.0,
-            emd_pixel_us: (self.emd_pixel_us + late_cost) as f64 / events_a.max(1) as f64,
+            emd_pixel_us: (matching_us + late_cost) as f64 / events_a.max(1) as f64,
             late_a: a.late(),
             late_b: b.late(),
         }

@@ -2,6 +2,7 @@
 
 use super::memory_reader::{MemoryReader, SENSOR, event};
 use super::*;
+use crate::formats::{Assumption, Skipped};
 use eecvs_nostd::Event;
 use proptest::prelude::*;
 
@@ -77,7 +78,7 @@ fn equals_scipy_and_scikit_image() {
                 0.0011250000000000001,
                 0.9197801619997077,
                 0.4554678207270546,
-                402.925,
+                345.38166666666666,
             ],
         ),
         (
@@ -89,7 +90,7 @@ fn equals_scipy_and_scikit_image() {
                 0.001066666666666667,
                 0.9080628787120371,
                 0.45160455558403056,
-                419.135,
+                367.165,
             ],
         ),
         (
@@ -101,7 +102,7 @@ fn equals_scipy_and_scikit_image() {
                 0.0009291666666666668,
                 0.9245547722236975,
                 0.5150107313923066,
-                376.585,
+                334.2733333333333,
             ],
         ),
     ];
@@ -196,9 +197,11 @@ fn a_far_off_time_base_is_neither_slow_nor_hidden() {
     let farthest = compare_events(&a, &move_by(u64::MAX - 20_000));
     let near = compare_events(&a, &move_by(5000));
     for c in [far, farthest, near] {
-        assert_eq!(c.exact_fraction, 0.0);
-        assert_eq!((c.emd_time_ms, c.emd_pixel_us), (1.0, 2000.0));
+        assert_eq!((c.exact_fraction, c.emd_time_ms), (0.0, 1.0));
     }
+    assert_eq!((far.emd_pixel_us, farthest.emd_pixel_us), (2000.0, 2000.0));
+    // A's last events pair with B's first ones.
+    assert!((1900.0..=2000.0).contains(&near.emd_pixel_us));
     // Not diluted by the empty time in between.
     assert!(far.mse > 0.5 * near.mse && far.ssim < 0.5 + near.ssim / 2.0);
 }
@@ -225,16 +228,89 @@ fn late_events_are_counted_as_unmatched() {
     assert!((c.emd_pixel_us - 2000.0 / 3.0).abs() < 1e-12);
 }
 
+/// A recording whose size its reader took for the largest x and y.
+struct SizeTaken(MemoryReader, [Assumption; 1]);
+
+impl EventReader for SizeTaken {
+    fn format(&self) -> &'static str {
+        self.0.format()
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.0.sensor()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.1
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        self.0.read(events)
+    }
+
+    fn skipped(&self) -> &Skipped {
+        self.0.skipped()
+    }
+}
+
 #[test]
-fn sensors_that_differ_are_joined() {
+fn sensors_that_differ_are_refused_but_where_a_size_was_taken() {
     let a = [event(10, 1, 1, true)];
     let wide = Sensor::new(80, 20).unwrap();
     let open_a = || -> Result<Box<dyn EventReader>> { Ok(Box::new(MemoryReader::new(&a, 9))) };
-    let open_b = || -> Result<Box<dyn EventReader>> {
+    let stated = || -> Result<Box<dyn EventReader>> {
         Ok(Box::new(MemoryReader::with_sensor(&[], 9, wide)))
     };
-    let c = compare(&open_a, &open_b, 1000, &mut |_| {}).unwrap();
+    let refused = compare(&open_a, &stated, 1000, &mut |_| {})
+        .unwrap_err()
+        .to_string();
+    assert!(
+        refused.contains("64x48") && refused.contains("80x20"),
+        "{refused}"
+    );
+    let taken = || -> Result<Box<dyn EventReader>> {
+        let assumption = Assumption {
+            what: SIZE_TAKEN,
+            taken: "80x20".to_owned(),
+            why: String::new(),
+        };
+        Ok(Box::new(SizeTaken(
+            MemoryReader::with_sensor(&[], 9, wide),
+            [assumption],
+        )))
+    };
+    let c = compare(&open_a, &taken, 1000, &mut |_| {}).unwrap();
     assert!((c.mse - 1.0 / (80.0 * 48.0)).abs() < 1e-15);
+}
+
+#[test]
+fn what_b_has_too_much_lowers_its_share() {
+    let (a, _) = recordings(8);
+    let mut twice = [a.clone(), a.clone()].concat();
+    twice.sort_by_key(|event| event.t_us);
+    let c = compare_events(&a, &twice);
+    assert_eq!((c.exact_fraction, c.exact_fraction_b), (1.0, 0.5));
+    assert_eq!(compare_events(&a, &a).exact_fraction_b, 1.0);
+    assert_eq!(compare_events(&a, EMPTY).exact_fraction_b, 1.0);
+}
+
+#[test]
+fn a_constant_shift_costs_what_it_is() {
+    let (a, _) = recordings(9);
+    let moved: Vec<Event> = a
+        .iter()
+        .map(|event| Event {
+            t_us: event.t_us + 7,
+            ..*event
+        })
+        .collect();
+    let c = compare_events(&a, &moved);
+    // Events of one pixel that are nearer to each other than the shift cost no more.
+    assert!(
+        c.emd_pixel_us <= 7.0 && c.emd_pixel_us > 6.9,
+        "{}",
+        c.emd_pixel_us
+    );
 }
 
 #[test]

@@ -206,6 +206,7 @@ mod tests {
                 events_a: 1,
                 events_b: 1,
                 exact_fraction: 0.0,
+                exact_fraction_b: 0.0,
                 mse: 0.0,
                 ssim: 1.0,
                 emd_time_ms: 0.0899,
