@@ -1,17 +1,24 @@
 //! A progress line on stderr, for work over a second when stderr is a terminal.
 
-use std::time::{Duration, Instant};
+use std::io::{IsTerminal, stderr};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::thread::{JoinHandle, spawn};
+use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Work that takes longer shows its progress.
 const PROGRESS_AFTER: Duration = Duration::from_secs(1);
 
+/// So often it is drawn, whether or not anything is counted meanwhile: a single step may take half a minute.
+const DRAW_EVERY: Duration = Duration::from_millis(100);
+
 /// How far the work has come; gone from the terminal when dropped.
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
-    start: Instant,
+    /// Draws the line from [`PROGRESS_AFTER`] on, where stderr is a terminal; ends when its channel is closed.
+    drawing: Option<(Sender<()>, JoinHandle<()>)>,
 }
 
 impl Progress {
@@ -24,10 +31,18 @@ impl Progress {
         )) {
             bar.set_style(style);
         }
-        Self {
-            bar,
-            start: Instant::now(),
-        }
+        let drawing = stderr().is_terminal().then(|| {
+            let (end, ended) = channel();
+            let bar = bar.clone();
+            let thread = spawn(move || {
+                if ended.recv_timeout(PROGRESS_AFTER) == Err(RecvTimeoutError::Timeout) {
+                    bar.set_draw_target(ProgressDrawTarget::stderr());
+                    bar.enable_steady_tick(DRAW_EVERY);
+                }
+            });
+            (end, thread)
+        });
+        Self { bar, drawing }
     }
 
     /// Counts `unit`s of a number that [`Self::set_of`] tells.
@@ -50,10 +65,6 @@ impl Progress {
 
     /// `count` units are done in all.
     pub fn set(&self, count: u64) {
-        // indicatif draws nothing where stderr is no terminal.
-        if self.bar.is_hidden() && self.start.elapsed() > PROGRESS_AFTER {
-            self.bar.set_draw_target(ProgressDrawTarget::stderr());
-        }
         self.bar.set_position(count);
     }
 
@@ -65,6 +76,11 @@ impl Progress {
 
 impl Drop for Progress {
     fn drop(&mut self) {
+        if let Some((end, thread)) = self.drawing.take() {
+            drop(end);
+            // It only draws.
+            let _ = thread.join();
+        }
         self.bar.finish_and_clear();
     }
 }

@@ -184,7 +184,7 @@ mod tests {
                 .unwrap()
         };
         let recordings = rate_table::recordings(&rows);
-        says("Dense takes fewer bits than every lossless peer on all recordings.");
+        says("Dense takes fewer bits than every lossless peer of the table on all recordings.");
         for recording in &recordings {
             let dense = find(recording, "hybrid-dense").bits_per_event;
             for row in rows.iter().filter(|row| row.recording == *recording) {
