@@ -165,7 +165,6 @@ fn windows(reader: &mut dyn EventReader, step_log2: i8) -> Vec<DecodedWindow> {
 /// Tallies of a window: `truth` and `found` in [`pixel_order`].
 fn tally(truth: &[Event], found: &[Event], tallies: &mut Tallies) {
     let place = |event: &Event| (event.y, event.x);
-    let mut matcher = Matcher::default();
     let pixels = |events: &[Event]| -> Vec<Vec<Event>> {
         let same = |a: &Event, b: &Event| place(a) == place(b);
         events.chunk_by(same).map(<[Event]>::to_vec).collect()
@@ -174,7 +173,9 @@ fn tally(truth: &[Event], found: &[Event], tallies: &mut Tallies) {
         assert_eq!(truth.len(), found.len());
         let tally = tallies.0.entry(truth.len()).or_default();
         tally.events += truth.len() as u64;
-        tally.cost_us += matcher.window_cost(truth, &found, u64::from(WINDOW_US));
+        let mut matcher = Matcher::new(u64::from(WINDOW_US));
+        matcher.add_window(truth, &found);
+        tally.cost_us += matcher.cost();
         for (truth, found) in truth.iter().zip(&found) {
             assert_eq!(
                 (place(truth), truth.polarity),

@@ -1,12 +1,13 @@
 //! The `eecvs-ros` command: a node in a process, or several.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, anyhow, bail};
 use clap::builder::ValueParser;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
 use host_harness::cmd::output::end;
@@ -141,7 +142,8 @@ pub fn run(operators: Vec<Box<dyn Operator>>) -> ExitCode {
 }
 
 fn start(operators: &Arc<Operators>) -> Result<()> {
-    let (ros, rest) = RosArguments::split(std::env::args())?;
+    let arguments: Result<Vec<String>> = std::env::args_os().map(text).collect();
+    let (ros, rest) = RosArguments::split(arguments?)?;
     let matches = command_line().try_get_matches_from(&rest);
     // The node is known before what its parameters say is.
     let line = match matches.and_then(|matches| EecvsRos::from_arg_matches(&matches)) {
@@ -161,6 +163,13 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
     let transport = line.network.open()?;
     let context = Context::new(transport.as_ref(), arguments, &parameters, stop)?;
     line.command.run(context, operators)
+}
+
+/// An argument as text, as ROS 2 has names and values.
+fn text(argument: OsString) -> Result<String> {
+    argument.into_string().map_err(|other| {
+        anyhow!("the argument {other:?} is not UTF-8: rename the file, or give a link to it")
+    })
 }
 
 /// The command line with a node's parameters as flags in front of its own, and all of its flags as parameters.

@@ -60,7 +60,7 @@ fn pictures_and_text() {
     let first = folder.bytes("all/frame_000000.png");
     assert!(first.starts_with(b"\x89PNG"));
     let text = folder
-        .eecvs("view a.csv --terminal-columns 40 --slice-us 4000")
+        .eecvs("view a.csv --colours 24bit --terminal-columns 40 --slice-us 4000")
         .ok()
         .stdout;
     let lines: Vec<&str> = text.lines().collect();

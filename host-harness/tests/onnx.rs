@@ -405,7 +405,6 @@ fn models_that_do_not_fit_are_told_from_those_that_do() {
 #[test]
 fn models_that_cannot_be_run_are_errors() {
     let folder = Folder::new();
-    let frame = frame();
     // Weights for two channels of an image with one, on which the runtime panics, and an output of
     // two dimensions.
     let contradicting = model(
@@ -425,9 +424,24 @@ fn models_that_cannot_be_run_are_errors() {
         &[image(1, ANY)],
         &[value("logits", FLOAT, &[])],
     );
-    for (bytes, part) in [(contradicting, "runtime fails"), (flat, "[8, 12]")] {
-        let error = folder.model(&bytes).segment(&frame).unwrap_err();
-        let error = format!("{error:#}");
+    let says_nothing = model(
+        &[node(
+            "Conv",
+            &["image", "weights"],
+            "logits",
+            &[("kernel_shape", &[1, 1]), ("strides", &[1, 1])],
+        )],
+        &[tensor("weights", &[1, 1, 1, 1], &[f32::NAN])],
+        &[image(1, ANY)],
+        &[value("logits", FLOAT, &[])],
+    );
+    for (bytes, part) in [
+        (contradicting, "runtime fails"),
+        (flat, "[48, 64]"),
+        (says_nothing, "not finite"),
+    ] {
+        // A frame without events shows it when the model is opened.
+        let error = error(&folder.file("model.onnx", &bytes));
         assert!(
             error.contains("model.onnx") && error.contains(part),
             "{error}"

@@ -6,10 +6,11 @@ use std::io::{BufWriter, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow};
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, Record};
 use mcap::sans_io::indexed_reader::{
     IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder,
 };
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 use mcap::{Compression, Summary, WriteOptions};
 
@@ -92,15 +93,22 @@ impl WriteFile for McapWriter {
     }
 }
 
-/// A file that is read by its index, in the order of times.
+/// A file that is read by its index, in the order of times; or from front to back, where it has no chunks and so no index.
 pub struct McapReader {
     name: String,
     file: File,
     topics: Vec<Topic>,
     /// Numbers of topics by those of channels.
     channels: BTreeMap<u16, usize>,
-    reader: IndexedReader,
+    way: Way,
     chunk: Vec<u8>,
+    from_ns: u64,
+}
+
+/// How messages are found.
+enum Way {
+    Indexed(Box<IndexedReader>),
+    Linear(Box<LinearReader>),
 }
 
 impl McapReader {
@@ -123,19 +131,27 @@ impl McapReader {
                 kind: schema.map_or_else(String::new, |schema| schema.name.clone()),
             });
         }
-        let options = IndexedReaderOptions::new()
-            .with_order(ReadOrder::LogTime)
-            .with_record_length_limit(RECORD_MAX)
-            .starting_at(from_ns);
-        let reader = IndexedReader::new_with_options(&summary, options)
-            .map_err(|error| failed(&name, &error))?;
+        let way = if summary.chunk_indexes.is_empty() {
+            file.rewind()
+                .with_context(|| format!("{name}: cannot be read"))?;
+            let options = LinearReaderOptions::default().with_record_length_limit(RECORD_MAX);
+            Way::Linear(Box::new(LinearReader::new_with_options(options)))
+        } else {
+            let options = IndexedReaderOptions::new()
+                .with_order(ReadOrder::LogTime)
+                .with_record_length_limit(RECORD_MAX)
+                .starting_at(from_ns);
+            let reader = IndexedReader::new_with_options(&summary, options);
+            Way::Indexed(Box::new(reader.map_err(|error| failed(&name, &error))?))
+        };
         Ok(Self {
             name,
             file,
             topics,
             channels,
-            reader,
+            way,
             chunk: Vec::new(),
+            from_ns,
         })
     }
 }
@@ -162,33 +178,110 @@ impl ReadFile for McapReader {
     }
 
     fn next(&mut self) -> Result<Option<Stored>> {
-        loop {
-            let Some(event) = self.reader.next_event() else {
-                return Ok(None);
+        let Self {
+            name,
+            file,
+            channels,
+            way,
+            chunk,
+            from_ns,
+            ..
+        } = self;
+        let stored = |header: &MessageHeader, data: &[u8]| {
+            let topic = channels.get(&header.channel_id).copied();
+            Ok(Some(Stored {
+                topic: topic.with_context(|| format!("{name}: an unknown channel"))?,
+                time_ns: header.log_time,
+                cdr: data.to_vec(),
+            }))
+        };
+        match way {
+            Way::Indexed(reader) => loop {
+                let Some(event) = reader.next_event() else {
+                    return Ok(None);
+                };
+                match event.map_err(|error| failed(name, &error))? {
+                    IndexedReadEvent::Message { header, data } => return stored(&header, data),
+                    IndexedReadEvent::ReadChunkRequest { offset, length } => {
+                        let mut read = || {
+                            anyhow::ensure!(length <= RECORD_MAX, "a chunk of {length} bytes");
+                            chunk.resize(length, 0);
+                            file.seek(SeekFrom::Start(offset))?;
+                            file.read_exact(chunk)?;
+                            Ok(())
+                        };
+                        read().with_context(|| format!("{name}: byte {offset}"))?;
+                        let inserted = reader.insert_chunk_record_data(offset, chunk);
+                        inserted.map_err(|error| failed(name, &error))?;
+                    }
+                }
+            },
+            Way::Linear(reader) => loop {
+                let Some(event) = reader.next_event() else {
+                    return Ok(None);
+                };
+                match event.map_err(|error| failed(name, &error))? {
+                    LinearReadEvent::ReadRequest(length) => {
+                        let read = file.read(reader.insert(length));
+                        reader
+                            .notify_read(read.with_context(|| format!("{name}: cannot be read"))?);
+                    }
+                    LinearReadEvent::Record { data, opcode } => {
+                        let record = mcap::parse_record(opcode, data);
+                        if let Record::Message { header, data } =
+                            record.map_err(|error| failed(name, &error))?
+                            && header.log_time >= *from_ns
+                        {
+                            return stored(&header, &data);
+                        }
+                    }
+                }
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::{EventPacket, Message};
+
+    /// A file as `ros2 bag record --storage-preset-profile fastwrite` makes it: without chunks.
+    #[test]
+    fn files_without_chunks_are_read_from_front_to_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let file = BufWriter::new(File::create(&path).unwrap());
+        let options = WriteOptions::new().profile("ros2").use_chunks(false);
+        let mut writer = options.create(file).unwrap();
+        let kind = EventPacket::TYPE;
+        let schema = writer
+            .add_schema(kind.name, "ros2msg", kind.definition.as_bytes())
+            .unwrap();
+        let channel = writer
+            .add_channel(schema, "/a/events", "cdr", &BTreeMap::new())
+            .unwrap();
+        for i in 0..300_u64 {
+            let header = MessageHeader {
+                channel_id: channel,
+                sequence: i as u32,
+                log_time: i,
+                publish_time: i,
             };
-            match event.map_err(|error| failed(&self.name, &error))? {
-                IndexedReadEvent::Message { header, data } => {
-                    let topic = self.channels.get(&header.channel_id).copied();
-                    return Ok(Some(Stored {
-                        topic: topic
-                            .with_context(|| format!("{}: an unknown channel", self.name))?,
-                        time_ns: header.log_time,
-                        cdr: data.to_vec(),
-                    }));
-                }
-                IndexedReadEvent::ReadChunkRequest { offset, length } => {
-                    let mut read = || {
-                        anyhow::ensure!(length <= RECORD_MAX, "a chunk of {length} bytes");
-                        self.chunk.resize(length, 0);
-                        self.file.seek(SeekFrom::Start(offset))?;
-                        self.file.read_exact(&mut self.chunk)?;
-                        Ok(())
-                    };
-                    read().with_context(|| format!("{}: byte {offset}", self.name))?;
-                    let inserted = self.reader.insert_chunk_record_data(offset, &self.chunk);
-                    inserted.map_err(|error| failed(&self.name, &error))?;
-                }
+            writer
+                .write_to_known_channel(&header, &[i as u8; 700])
+                .unwrap();
+        }
+        writer.finish().unwrap();
+        for from_ns in [0, 120] {
+            let mut reader = McapReader::open(&path, from_ns).unwrap();
+            assert_eq!(reader.topics().len(), 1);
+            for time_ns in from_ns..300 {
+                let stored = reader.next().unwrap().unwrap();
+                assert_eq!((stored.topic, stored.time_ns), (0, time_ns));
+                assert_eq!(stored.cdr, [time_ns as u8; 700]);
             }
+            assert!(reader.next().unwrap().is_none());
         }
     }
 }

@@ -43,7 +43,7 @@ impl Play {
     /// Plays until the end, or until it is to stop.
     ///
     /// # Errors
-    /// No bag, or a damaged one; the transport.
+    /// No bag, or a damaged one, or one without messages of types that are known here; the transport.
     pub fn run(self, mut context: Context) -> Result<()> {
         ensure!(
             self.start_s.is_finite() && self.start_s >= 0.0,
@@ -101,6 +101,11 @@ impl Play {
         context.say(&format!(
             "{messages} messages, {unknown} of unknown types left out"
         ));
+        ensure!(
+            messages > 0 || context.stop.is_asked(),
+            "{}: no message was played: {unknown} are of types that are not known here, and there are no others",
+            self.bag.display()
+        );
         Ok(())
     }
 }

@@ -50,6 +50,7 @@ impl Transport for Dds {
         for (name, value) in parameters {
             options = options.declare_parameter(name, ParameterValue::String(value.clone()));
         }
+        options = options.parameter_validator(Box::new(only_as_declared(parameters.to_vec())));
         let base = ros2_client::NodeName::new(&name.namespace, &name.base);
         let base = base.map_err(|error| refused(&error))?;
         let node = self.context.new_node(base, options);
@@ -65,6 +66,21 @@ impl Transport for Dds {
         Ok(Box::new(DdsNode {
             node: Arc::new(Mutex::new(node)),
         }))
+    }
+}
+
+/// Refuses to set parameters, which are flags: they take effect when a node starts. What they are declared with is fine.
+fn only_as_declared(
+    parameters: Vec<(String, String)>,
+) -> impl Fn(&str, &ParameterValue) -> Result<(), String> + Send + Sync {
+    move |name, value| {
+        let mut declared = parameters.iter().filter(|(known, _)| known == name);
+        match (declared.next(), value) {
+            (Some((_, declared)), ParameterValue::String(value)) if value == declared => Ok(()),
+            _ => Err(format!(
+                "{name} is read-only: it takes effect when the node starts, with -p {name}:=VALUE"
+            )),
+        }
     }
 }
 

@@ -20,6 +20,7 @@ use crate::report::frame_picture::FrameStyle;
 use crate::view::frames::Frames;
 use crate::view::gif::{self, Gif};
 use crate::view::input::Input;
+use crate::view::palette::Palette;
 use crate::view::picture::{Look, default_upscale};
 use crate::view::png::Pngs;
 use crate::view::slices::{Grid, Slices};
@@ -87,6 +88,10 @@ pub struct View {
     #[arg(long, value_name = "N", conflicts_with = "output",
           value_parser = clap::value_parser!(u16).range(1..=4096))]
     terminal_columns: Option<u16>,
+
+    /// Colours of the terminal [default: as its variables NO_COLOR, COLORTERM and TERM ask for]
+    #[arg(long, value_enum, value_name = "HOW", conflicts_with = "output")]
+    colours: Option<Palette>,
 
     #[command(flatten)]
     reading: ReadingOptions,
@@ -256,6 +261,9 @@ impl View {
             let look = terminal::Look {
                 clip: self.clip,
                 origin_us,
+                palette: self
+                    .colours
+                    .unwrap_or_else(|| Palette::of_terminal(|name| std::env::var(name).ok())),
             };
             let columns = self.terminal_columns.map(usize::from);
             if let Some(columns) = columns.filter(|_| !stdout().is_terminal()) {

@@ -6,6 +6,8 @@ pub mod frames;
 pub mod gif;
 pub mod input;
 pub mod pace;
+pub mod palette;
+
 pub mod picture;
 pub mod png;
 pub mod slices;

@@ -1,4 +1,4 @@
-//! Frames -> a terminal: two pixels a character, in 24-bit colour, scaled down by summing.
+//! Frames -> a terminal: two pixels a character, in the colours that it has, scaled down by summing.
 
 use std::fmt::Write as _;
 use std::io::Write;
@@ -11,6 +11,7 @@ use anyhow::{Context, Result};
 use super::Screen;
 use super::frames::Frame;
 use super::pace::{Pace, Turn};
+use super::palette::Palette;
 use super::picture::milliseconds;
 use crate::report::frame_picture::FrameStyle;
 use crate::report::picture::Colour;
@@ -45,7 +46,7 @@ pub struct Room {
 /// A pixel is the sum of as many of the sensor's as makes the frame fit, of s x s; the darkest colour
 /// then stands for `clip` s.
 #[must_use]
-pub fn lines(frame: &Frame, room: Room, clip: u32, origin_us: u64) -> Vec<String> {
+pub fn lines(frame: &Frame, room: Room, look: Look) -> Vec<String> {
     let difference = frame
         .decoded
         .as_ref()
@@ -65,7 +66,7 @@ pub fn lines(frame: &Frame, room: Room, clip: u32, origin_us: u64) -> Vec<String
     // No side is above 2048.
     let factor = across.max(down).max(1) as u16;
     let style = FrameStyle {
-        clip: clip.saturating_mul(u32::from(factor)),
+        clip: look.clip.saturating_mul(u32::from(factor)),
         upscale: 1,
     };
     let shrunk: Vec<_> = panels.iter().map(|(_, sums)| sums.shrunk(factor)).collect();
@@ -85,12 +86,16 @@ pub fn lines(frame: &Frame, room: Room, clip: u32, origin_us: u64) -> Vec<String
         lines.push(cut(captions.trim_end(), room.columns));
     }
     for y in (0..height).step_by(2) {
-        let mut line = Line::default();
+        let mut line = Line::new(look.palette);
         for (number, sums) in shrunk.iter().enumerate() {
             if number > 0 {
                 line.gap();
             }
             for x in 0..width {
+                if look.palette == Palette::Characters {
+                    line.character(sums.sum(x, y), sums.sum(x, y + 1), style.clip);
+                    continue;
+                }
                 let upper = style.colour(sums.sum(x, y));
                 // Below an odd number of rows there is nothing.
                 let lower = (y + 1 < height).then(|| style.colour(sums.sum(x, y + 1)));
@@ -99,7 +104,7 @@ pub fn lines(frame: &Frame, room: Room, clip: u32, origin_us: u64) -> Vec<String
         }
         lines.push(line.end());
     }
-    let mut said = milliseconds(frame.start_us, origin_us);
+    let mut said = milliseconds(frame.start_us, look.origin_us);
     let _ = write!(said, "  events {}", frame.events);
     if frame.decoded.is_some() {
         let _ = write!(said, "  decoded {}", frame.decoded_events);
@@ -117,39 +122,67 @@ fn cut(text: &str, columns: usize) -> String {
 }
 
 /// Characters with their colours, which are told where they change.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Line {
+    palette: Palette,
     text: String,
     upper: Option<Colour>,
     lower: Option<Colour>,
 }
 
 impl Line {
+    const fn new(palette: Palette) -> Self {
+        Self {
+            palette,
+            text: String::new(),
+            upper: None,
+            lower: None,
+        }
+    }
+
+    /// Two pixels, one below the other, by their sum alone.
+    fn character(&mut self, upper: i64, lower: i64, clip: u32) {
+        let sum = upper + lower;
+        let is_full = sum.unsigned_abs() >= u64::from(clip);
+        self.text.push(match (sum.signum(), is_full) {
+            (1, false) => '+',
+            (1, true) => '#',
+            (-1, false) => '-',
+            (-1, true) => '=',
+            _ => ' ',
+        });
+    }
+
+    /// Back to the terminal's own colours.
+    fn plain(&mut self) {
+        if self.palette != Palette::Characters {
+            self.text += PLAIN;
+        }
+        (self.upper, self.lower) = (None, None);
+    }
+
     fn pixels(&mut self, upper: Colour, lower: Option<Colour>) {
         if lower.is_none() && self.lower.is_some() {
-            self.text += PLAIN;
-            (self.upper, self.lower) = (None, None);
+            self.plain();
         }
         if self.upper != Some(upper) {
-            let [r, g, b] = upper;
-            let _ = write!(self.text, "\x1b[38;2;{r};{g};{b}m");
+            self.palette.select(upper, false, &mut self.text);
             self.upper = Some(upper);
         }
-        if let Some([r, g, b]) = lower.filter(|_| self.lower != lower) {
-            let _ = write!(self.text, "\x1b[48;2;{r};{g};{b}m");
+        if let Some(colour) = lower.filter(|_| self.lower != lower) {
+            self.palette.select(colour, true, &mut self.text);
             self.lower = lower;
         }
         self.text.push(HALVES);
     }
 
     fn gap(&mut self) {
-        self.text += PLAIN;
+        self.plain();
         self.text.extend(std::iter::repeat_n(' ', BETWEEN));
-        (self.upper, self.lower) = (None, None);
     }
 
     fn end(mut self) -> String {
-        self.text += PLAIN;
+        self.plain();
         self.text
     }
 }
@@ -161,6 +194,8 @@ pub struct Look {
     pub clip: u32,
     /// Time of 0, in us of the recording.
     pub origin_us: u64,
+    /// The terminal's colours.
+    pub palette: Palette,
 }
 
 /// A terminal in which each frame takes the place of the one before, at its time.
@@ -226,7 +261,7 @@ impl<W: Write> Screen for Terminal<W> {
             text += CLEAR;
         }
         text += HOME;
-        let lines = lines(frame, room, self.look.clip, self.look.origin_us);
+        let lines = lines(frame, room, self.look);
         // No line feed after the last: a full screen would move up.
         text += &lines.join(&format!("{CLEAR_LINE}\n"));
         text += CLEAR_LINE;
@@ -270,7 +305,7 @@ impl<W: Write> Screen for Text<W> {
             columns: self.columns,
             rows: None,
         };
-        let lines = lines(frame, room, self.look.clip, self.look.origin_us);
+        let lines = lines(frame, room, self.look);
         let text = lines.join("\n") + "\n";
         let written = self.out.write_all(text.as_bytes());
         written.and_then(|()| self.out.flush()).context("stdout")
@@ -292,6 +327,7 @@ mod tests {
     const LOOK: Look = Look {
         clip: 4,
         origin_us: 1_000,
+        palette: Palette::Bits24,
     };
     const ROOM: Room = Room {
         columns: 80,
@@ -331,7 +367,7 @@ mod tests {
             "\x1b[38;2;255;255;255m\u{2580}\x1b[38;2;245;155;66m\u{2580}\x1b[0m",
             "2.333 ms  events 3",
         ];
-        assert_eq!(lines(&tiny, ROOM, 4, 1_000), expected);
+        assert_eq!(lines(&tiny, ROOM, LOOK), expected);
         let mut out = Vec::new();
         let stop = Arc::default();
         let room = || Box::new(|| ROOM);
@@ -345,6 +381,31 @@ mod tests {
     }
 
     #[test]
+    fn where_there_are_no_colours_characters_tell() {
+        let pixels = [
+            (0, 0, true),
+            (1, 1, false),
+            (1, 2, false),
+            (1, 2, false),
+            (0, 2, true),
+            (0, 2, true),
+        ];
+        let look = Look {
+            clip: 2,
+            palette: Palette::Characters,
+            ..LOOK
+        };
+        let found = lines(&frame(2, 3, &pixels, false), ROOM, look);
+        assert_eq!(found, ["+-", "#=", "2.333 ms  events 6"]);
+        let look = Look {
+            palette: Palette::Xterm256,
+            ..LOOK
+        };
+        let found = lines(&frame(1, 1, &[(0, 0, true)], false), ROOM, look);
+        assert_eq!(found[0], "\x1b[38;5;74m\u{2580}\x1b[0m");
+    }
+
+    #[test]
     fn frames_fit_the_room() {
         for (width, height, two) in [(1280, 720, true), (34, 34, true), (2048, 1, false)] {
             let frame = frame(width, height, &[(1, 0, true)], two);
@@ -353,7 +414,7 @@ mod tests {
                     columns,
                     rows: Some(rows),
                 };
-                let lines = lines(&frame, room, 4, 0);
+                let lines = lines(&frame, room, LOOK);
                 let words = if two { 2 } else { 1 };
                 assert!(lines.len() <= rows.max(words + 1), "{width} {rows}");
                 // Three panels of a column each, and what is between them.
@@ -374,7 +435,12 @@ mod tests {
         };
         // In the left half +2 in all, in the right one none.
         let pixels = [(0, 0, true), (1, 1, true), (2, 0, true), (3, 1, false)];
-        let lines = lines(&frame(4, 2, &pixels, false), room, 1, 0);
+        let look = Look {
+            clip: 1,
+            origin_us: 0,
+            ..LOOK
+        };
+        let lines = lines(&frame(4, 2, &pixels, false), room, look);
         let style = FrameStyle {
             clip: 2,
             upscale: 1,

@@ -26,6 +26,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
+use eecvs_nostd::Sensor;
 use rten::{DataType, Dimension, Model, NodeId, Value, ValueType};
 use rten_tensor::Tensor;
 use rten_tensor::prelude::*;
@@ -36,6 +37,11 @@ use super::{Frame, Masks, Segmenter};
 pub const FULL: u8 = 3;
 /// Longest side of a model's input, in pixels.
 const SIDE_MAX: usize = 4096;
+/// Size of the frame that a model is tried on.
+const TRIED: Sensor = Sensor {
+    width: 64,
+    height: 48,
+};
 /// The output that counts where there are several.
 const OUTPUT: &str = "masks";
 
@@ -65,9 +71,15 @@ impl OnnxModel {
     ///
     /// # Errors
     /// A file that cannot be read or is no ONNX model; operators that the runtime lacks; another
-    /// input than [the module](self) tells. The message names the file.
+    /// input than [the module](self) tells; a model that cannot be run on a frame without events, or whose answer
+    /// to it is not finite. The message names the file.
     pub fn open(path: &Path) -> Result<Self> {
-        Self::load(path).with_context(|| {
+        let opened = Self::load(path).and_then(|model| {
+            // Better now than after minutes of other work.
+            model.run(&Frame::new(TRIED, &[]))?;
+            Ok(model)
+        });
+        opened.with_context(|| {
             format!(
                 "{}: not a segmentation model that can be run; docs/segmentation.md tells how to export one",
                 path.display()
@@ -312,6 +324,10 @@ impl Logits {
         ensure!(
             is_float || !has_background,
             "logits of classes must be float32"
+        );
+        ensure!(
+            values.iter().all(|value| value.is_finite()),
+            "the output is not finite: its logits are infinite or no numbers"
         );
         let is_filled = height > 0 && width > 0 || layers == 0;
         ensure!(

@@ -1,0 +1,120 @@
+//! What a terminal can show of colours, and how they are asked for.
+
+use std::fmt::Write as _;
+
+use crate::report::picture::Colour;
+
+/// Colours of a terminal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Palette {
+    /// 24 bits a colour
+    #[value(name = "24bit")]
+    Bits24,
+    /// The nearest of xterm's 256 colours
+    #[value(name = "256")]
+    Xterm256,
+    /// None: + and # are ON, - and = are OFF, the latter of each from --clip on
+    #[value(name = "none")]
+    Characters,
+}
+
+impl Palette {
+    /// What the variables of a terminal ask for: none by `NO_COLOR` or a `TERM` that is `dumb` or missing, 24 bits by
+    /// `COLORTERM` or a `TERM` that names them, else 256 colours.
+    #[must_use]
+    pub fn of_terminal(variable: impl Fn(&str) -> Option<String>) -> Self {
+        let is_set = |name| variable(name).is_some_and(|value| !value.is_empty());
+        let term = variable("TERM").unwrap_or_default();
+        if is_set("NO_COLOR") || term.is_empty() || term == "dumb" {
+            return Self::Characters;
+        }
+        let colours = variable("COLORTERM").unwrap_or_default();
+        let names_bits = term.ends_with("-direct") || term.ends_with("-truecolor");
+        if matches!(colours.as_str(), "truecolor" | "24bit") || names_bits {
+            return Self::Bits24;
+        }
+        Self::Xterm256
+    }
+
+    /// Appends what makes `colour` that of the characters that follow, in front or behind them.
+    pub(super) fn select(self, colour: Colour, behind: bool, text: &mut String) {
+        let layer = if behind { 48 } else { 38 };
+        let [r, g, b] = colour;
+        let _ = match self {
+            Self::Bits24 => write!(text, "\x1b[{layer};2;{r};{g};{b}m"),
+            Self::Xterm256 => write!(text, "\x1b[{layer};5;{}m", nearest(colour)),
+            Self::Characters => Ok(()),
+        };
+    }
+}
+
+/// Levels of the 6 x 6 x 6 colours that begin at 16.
+const LEVELS: [u8; 6] = [0, 95, 135, 175, 215, 255];
+
+/// Number of the nearest of xterm's colours from 16 on: the cube and the 24 greys, whose first is 8 and step 10.
+fn nearest(colour: Colour) -> u8 {
+    let distance = |other: Colour| -> u32 {
+        let parts = colour.iter().zip(other);
+        parts.map(|(a, b)| u32::from(a.abs_diff(b)).pow(2)).sum()
+    };
+    let level = |part: u8| {
+        let levels = (0..6_u8).zip(LEVELS);
+        let nearest = levels.min_by_key(|(_, level)| part.abs_diff(*level));
+        nearest.unwrap_or((0, 0))
+    };
+    let [(r, red), (g, green), (b, blue)] = colour.map(level);
+    let grey = (0..24_u8).map(|step| (232 + step, 8 + 10 * step));
+    let of_cube = (16 + 36 * r + 6 * g + b, distance([red, green, blue]));
+    let of_greys = grey.map(|(number, grey)| (number, distance([grey; 3])));
+    let nearest = std::iter::once(of_cube).chain(of_greys);
+    nearest
+        .min_by_key(|(_, distance)| *distance)
+        .map_or(16, |(number, _)| number)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn variables_tell_what_is_wanted() {
+        for (variables, palette) in [
+            (
+                &[("TERM", "xterm-256color"), ("COLORTERM", "truecolor")][..],
+                Palette::Bits24,
+            ),
+            (&[("TERM", "xterm-direct")], Palette::Bits24),
+            (&[("TERM", "xterm-256color")], Palette::Xterm256),
+            (&[("TERM", "linux"), ("NO_COLOR", "")], Palette::Xterm256),
+            (
+                &[("TERM", "xterm"), ("COLORTERM", "24bit"), ("NO_COLOR", "1")],
+                Palette::Characters,
+            ),
+            (
+                &[("TERM", "dumb"), ("COLORTERM", "truecolor")],
+                Palette::Characters,
+            ),
+            (&[], Palette::Characters),
+        ] {
+            let value = |name: &str| {
+                let mut found = variables.iter().filter(|(known, _)| *known == name);
+                found.next().map(|(_, value)| (*value).to_owned())
+            };
+            assert_eq!(Palette::of_terminal(value), palette, "{variables:?}");
+        }
+    }
+
+    #[test]
+    fn colours_are_the_nearest_of_256() {
+        for (colour, number) in [
+            ([0, 0, 0], 16),
+            ([255, 255, 255], 231),
+            ([255, 0, 0], 196),
+            ([86, 160, 224], 74),
+            ([245, 155, 66], 209),
+            ([128, 128, 128], 244),
+        ] {
+            assert_eq!(nearest(colour), number, "{colour:?}");
+        }
+    }
+}
