@@ -27,6 +27,7 @@ pub mod frames;
 pub mod growing;
 pub mod hdf5;
 pub mod input;
+mod input_buffer;
 pub mod intact;
 mod lz4_frame;
 pub mod mat;
