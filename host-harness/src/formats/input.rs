@@ -8,18 +8,22 @@ use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
 use super::input_buffer::{BUFFER_BYTES, InputBuffer};
-use super::{Assumption, BATCH_EVENTS, EventReader, Skipped};
+use super::{Assumption, BATCH_EVENTS, BadEvents, EventReader, Skipped};
 
 /// What a reader can read from: a file, or bytes in memory (`std::io::Cursor`).
 pub trait ReadSeek: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> ReadSeek for T {}
 
+/// What events outside of the sensor are counted as where they are left out.
+pub const OUTSIDE: &str = "events outside of the sensor";
+
 /// A source with the name and the position that error messages carry.
 pub struct Input {
     buffer: InputBuffer,
     name: String,
     length: u64,
+    bad_events: BadEvents,
 }
 
 impl Input {
@@ -47,6 +51,7 @@ impl Input {
             buffer: InputBuffer::new(source),
             name: name.to_owned(),
             length,
+            bad_events: BadEvents::Refuse,
         })
     }
 
@@ -216,6 +221,11 @@ pub trait Decode: Send {
     /// As [`EventReader::skipped`].
     fn skipped(&self) -> &Skipped;
 
+    /// As [`EventReader::leave_out_bad_events`].
+    fn leave_out_bad_events(&mut self) -> bool {
+        false
+    }
+
     /// As [`EventReader::seek`].
     ///
     /// # Errors
@@ -343,6 +353,10 @@ impl<D: Decode> EventReader for Reader<D> {
     fn skipped(&self) -> &Skipped {
         self.decoder.skipped()
     }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.decoder.leave_out_bad_events()
+    }
 }
 
 /// Fixed-size words of an [`Input`], read in blocks.
@@ -437,22 +451,34 @@ impl<const N: usize> Words<N> {
 }
 
 impl Input {
-    /// Error for event number `index` at byte `offset` that lies outside of the sensor.
+    /// From here on, [`Input::outside`] is no error.
+    pub fn leave_out_bad_events(&mut self) {
+        self.bad_events = BadEvents::LeaveOut;
+    }
+
+    /// Refuses event number `index` at byte `offset`, which lies outside of the sensor at (x, y), or counts it.
+    ///
+    /// # Errors
+    /// Always, but after [`Input::leave_out_bad_events`].
     pub fn outside(
         &self,
         offset: u64,
         index: u64,
-        x: i64,
-        y: i64,
+        (x, y): (i64, i64),
         sensor: Sensor,
-    ) -> anyhow::Error {
+        skipped: &mut Skipped,
+    ) -> anyhow::Result<()> {
+        if self.bad_events == BadEvents::LeaveOut {
+            skipped.add(OUTSIDE, 1);
+            return Ok(());
+        }
         let Sensor { width, height } = sensor;
-        self.error_at(
+        Err(self.error_at(
             offset,
             format!(
-                "event {index} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): \
-                 the recording is damaged, or its size is another: see --width and --height"
+                "event {index} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): the recording \
+                 is damaged, or its size is another: see --width and --height, and --leave-out-bad-events"
             ),
-        )
+        ))
     }
 }
