@@ -55,6 +55,7 @@ pub mod text_layout;
 mod text_writer;
 mod time_unit;
 mod unpack;
+mod utf16;
 mod wrapping;
 mod zip_entry;
 
