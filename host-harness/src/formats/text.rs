@@ -723,8 +723,8 @@ mod tests {
             ),
             ("t,x,y,p\n1,2,3,1\n4,2,-3,1\n", "line 3: event 1: x and y"),
             (
-                "4 4\n1 2 3 1\n2 4 0 1\n",
-                "line 3: event 1: x = 4, y = 0 is outside",
+                "4 4\n# t x y p\n1 2 3 1\n2 4 0 1\n",
+                "line 4: event 1: x = 4, y = 0 is outside",
             ),
             (
                 "t,x,y,p\n1,2,3,1\n1,2,3,1\n1.5,2,3,1\n",
