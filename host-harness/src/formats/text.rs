@@ -427,11 +427,10 @@ fn has_decimal_comma(line: &[u8]) -> bool {
     let is_decimal = line.windows(3).any(|letters| {
         matches!(letters, [before, b',', after] if before.is_ascii_digit() && after.is_ascii_digit())
     });
-    let other = |pair: &[u8]| {
-        matches!(pair, [before, b';' | b'\t' | b' '] if !is_separator(*before))
-            || matches!(pair, [b';', _])
-    };
-    is_decimal && line.windows(2).any(other)
+    // A space beside a comma only pads.
+    let separates = |letters: &[u8]| matches!(letters, [before, b' ', after] if !is_separator(*before) && !is_separator(*after));
+    let others = line.contains(&b';') || line.contains(&b'\t') || line.windows(3).any(separates);
+    is_decimal && others
 }
 
 /// State between two lines.
