@@ -25,6 +25,8 @@ pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
     let text =
         std::fs::read_to_string(path).with_context(|| format!("{name}: reading hot pixels"))?;
     let mut pixels = Vec::new();
+    // Editors put a byte-order mark in front.
+    let text = text.trim_start_matches('\u{feff}');
     for (number, line) in text.lines().enumerate() {
         let line = line.split('#').next().unwrap_or_default().trim();
         if line.is_empty() {
@@ -71,6 +73,7 @@ mod tests {
     fn pixels_come_once_in_raster_order() {
         let pixels = of("# hot\n33, 2 # east\n0,0\n\n31\t1\n33 2\n").unwrap();
         assert_eq!(pixels, [(0, 0), (31, 1), (33, 2)]);
+        assert_eq!(of("\u{feff}1,2\r\n3,1\r\n").unwrap(), [(3, 1), (1, 2)]);
     }
 
     #[test]

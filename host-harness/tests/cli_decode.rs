@@ -275,7 +275,7 @@ fn a_truncated_file_gives_its_whole_frames() {
 #[test]
 fn odd_sizes_and_settings_keep_every_event() {
     let folder = Folder::new();
-    folder.write("one.txt", "5 0 0 1\n9 0 0 0\n9 0 0 0\n");
+    folder.write("one.txt", "# t x y p\n5 0 0 1\n9 0 0 0\n9 0 0 0\n");
     folder.write("size.csv", "t,x,y,p\n1000000,7,3,1\n1000001,0,0,0\n");
     folder
         .eecvs("emulate motorcycle -o tiny.raw --width 1 --height 1 --duration-us 100000")

@@ -187,7 +187,8 @@ fn nonsense_is_no_recording() {
         }
     }
     for (bytes, word) in [
-        (&b"#!AER-DAT3.1\r\n"[..], "AEDAT"),
+        (&b"#!AER-DAT3.1\r\n"[..], "END-HEADER"),
+        (b"#!AER-DAT5.0\r\n", "AEDAT"),
         (b"% evt 5.0\n% end\n", "EVT 5.0"),
         (b"% evt 2.1\n% end\n", "--width"),
         (
@@ -209,7 +210,10 @@ fn nonsense_is_no_recording() {
         (b"\x89HDF\r\n\x1a\n", "damaged HDF5 file"),
         (b"\x89PNG\r\n\x1a\n", "known format"),
         (b"", "empty"),
-        (b"#!AER-DAT2.0\r\n# AEChip: x.DAVIS346B\r\n", "DAVIS346B"),
+        (
+            b"#!AER-DAT2.0\r\n# AEChip: x.CochleaAMS1c\r\n",
+            "CochleaAMS1c",
+        ),
     ] {
         let error = read(bytes, None).1.expect("no recording").to_string();
         assert!(error.contains(word), "{error}");

@@ -1,26 +1,30 @@
-//! AEDAT 2.0 of DVS128 and DAVIS240C, as jAER writes it.
+//! AEDAT 2.0 of DVS128 and every DAVIS, as jAER, v2e and MATLAB scripts write it.
 //!
-//! Header lines that begin with `#`, then pairs of big-endian 32-bit words: address, time in us.
+//! Header lines that begin with `#`, then pairs of big-endian 32-bit words: address, time in us. How an address
+//! tells pixel and polarity says [`Layout`]. y is as in the file: it counts upwards in jAER.
 //!
-//! | chip | x | y | polarity | not an event |
-//! |---|---|---|---|---|
-//! | DVS128 | 127 - bits 7..1 | bits 14..8 | bit 0, 0 = ON | bit 15: external |
-//! | DAVIS240C | 239 - bits 21..12 | bits 30..22 | bit 11, 1 = ON | bit 31: APS or IMU; bit 10: external |
+//! Which chip it is says the header line `# AEChip:`; v2e, saveaerdat.m and jAER before 2014 write none. Then:
 //!
-//! y is as in the file: it counts upwards in jAER. Which chip it is says the header line
-//! `# AEChip:`; without one, addresses above 16 bits mean DAVIS240C. The time wraps after 71.6
-//! minutes; the wraps are carried. No maintained crate reads AEDAT 2.0.
+//! 1. Addresses of 16 bits are a DVS128's, and those whose lower 10 bits are 0 a DAVIS's; where both fit, or
+//!    neither, or the file has no events, the reader asks for the chip's line.
+//! 2. A DAVIS has the caller's size, else that of lines `# sizeX` and `# sizeY`. Without any it is a DAVIS240C,
+//!    provided that no address of the whole file lies outside of it: else the reader asks.
+//! 3. What was taken to be so is among the reader's assumptions.
+//!
+//! A chip that is not in [`Chip`]'s list is read by the same rules with the caller's size, and refused without
+//! one. The time wraps after 71.6 minutes; the wraps are carried. No maintained crate reads AEDAT 2.0.
 
 use std::path::Path;
 
 use anyhow::Context;
-use eecvs_nostd::{Event, Polarity, Sensor};
+use eecvs_nostd::{Event, Sensor};
 
+use super::aedat_chip::{Chip, Layout};
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::output::Output;
 use super::wrapping::Wrapping;
-use super::{EventWriter, Skipped};
+use super::{Assumption, EventWriter, Skipped};
 
 /// First line of every AEDAT 2.0 file, without its line end.
 pub const MAGIC: &[u8] = b"#!AER-DAT2";
@@ -33,68 +37,7 @@ const LINE_MAX: usize = 1 << 16;
 const CHIP_WORDS: usize = 4096;
 
 /// Line of our own writer: microseconds to add to the first time, which has only 32 bits.
-const TIME_BASE_KEY: &str = "# time_base_us:";
-
-/// A chip's address layout.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Chip {
-    Dvs128,
-    Davis240c,
-}
-
-impl Chip {
-    const ALL: [Self; 2] = [Self::Dvs128, Self::Davis240c];
-
-    const fn sensor(self) -> Sensor {
-        match self {
-            Self::Dvs128 => Sensor {
-                width: 128,
-                height: 128,
-            },
-            Self::Davis240c => Sensor {
-                width: 240,
-                height: 180,
-            },
-        }
-    }
-
-    const fn class(self) -> &'static str {
-        match self {
-            Self::Dvs128 => "ch.unizh.ini.jaer.chip.retina.DVS128",
-            Self::Davis240c => "eu.seebetter.ini.chips.davis.DAVIS240C",
-        }
-    }
-
-    /// (x, y, polarity) of an address, or the name of what it is instead.
-    fn decode(self, address: u32) -> Result<(i64, i64, Polarity), &'static str> {
-        let field = |shift: u32, bits: u32| i64::from(address >> shift & ((1 << bits) - 1));
-        match self {
-            Self::Dvs128 if address >> 16 != 0 => Err("unknown words"),
-            Self::Dvs128 if address & 0x8000 != 0 => Err("external events"),
-            Self::Dvs128 => Ok((
-                127 - field(1, 7),
-                field(8, 7),
-                Polarity::from_bool(address & 1 == 0),
-            )),
-            Self::Davis240c if address >> 31 != 0 => Err("APS and IMU words"),
-            Self::Davis240c if address & 0x400 != 0 => Err("external events"),
-            Self::Davis240c => {
-                let polarity = Polarity::from_bool(address & 0x800 != 0);
-                Ok((239 - field(12, 10), field(22, 9), polarity))
-            }
-        }
-    }
-
-    /// Address of a pixel inside of the sensor.
-    fn encode(self, event: &Event) -> u32 {
-        let (x, y) = (u32::from(event.x), u32::from(event.y));
-        let on = u32::from(event.polarity == Polarity::On);
-        match self {
-            Self::Dvs128 => y << 8 | (127 - x) << 1 | (1 - on),
-            Self::Davis240c => y << 22 | (239 - x) << 12 | on << 11,
-        }
-    }
-}
+const TIME_BASE_KEY: &str = "time_base_us:";
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -102,7 +45,12 @@ pub const FORMAT: Format = Format {
     title: "AEDAT 2",
     endings: &[".aedat"],
     detect: |start| start.begins(MAGIC),
-    open: |Opening { source, name, .. }| Ok(Box::new(Aedat2Reader::new(source, name)?)),
+    open: |Opening {
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(Aedat2Reader::new(source, name, reading.size)?)),
     has_places: false,
     grows: true,
     limits: Limits {
@@ -117,22 +65,40 @@ pub const FORMAT: Format = Format {
 pub type Aedat2Reader = Reader<Aedat2Decoder>;
 
 impl Aedat2Reader {
-    /// Reads `source`, which messages call `name`.
+    /// Reads `source`, which messages call `name`; `size` counts where the header names no chip.
     ///
     /// # Errors
-    /// No AEDAT 2.0 header, an unknown chip.
-    pub fn new(source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<Self> {
+    /// No AEDAT 2.0 header; a chip that is not known, or that more than one reading fits, without a size.
+    pub fn new(
+        source: Box<dyn ReadSeek>,
+        name: &str,
+        size: Option<Sensor>,
+    ) -> anyhow::Result<Self> {
         let mut input = Input::new(source, name)?;
-        let (chip, time_base_us) = read_header(&mut input)?;
-        let chip = match chip {
+        let header = Header::read(&mut input)?;
+        let mut assumptions = Vec::new();
+        let known = header.class.as_deref().and_then(Chip::of_name);
+        let chip = match known {
             Some(chip) => chip,
-            None => chip_of_addresses(&mut input)?,
+            None => {
+                let guess = Guess {
+                    class: header.class.as_deref(),
+                    size: size.or(header.size),
+                };
+                guess.chip(&mut input, &mut assumptions)?
+            }
+        };
+        let camera = match &header.class {
+            Some(class) => class.rsplit('.').next().map(str::to_owned),
+            None => (chip.layout == Layout::Dvs128).then(|| "DVS128".to_owned()),
         };
         Ok(Self::around(Aedat2Decoder {
             input,
             words: Words::default(),
             chip,
-            time: Wrapping::new(32, time_base_us),
+            camera,
+            assumptions,
+            time: Wrapping::new(32, header.time_base_us),
             events: 0,
             skipped: Skipped::default(),
         }))
@@ -144,6 +110,8 @@ pub struct Aedat2Decoder {
     input: Input,
     words: Words<8>,
     chip: Chip,
+    camera: Option<String>,
+    assumptions: Vec<Assumption>,
     time: Wrapping,
     events: u64,
     skipped: Skipped,
@@ -155,11 +123,20 @@ impl Decode for Aedat2Decoder {
     }
 
     fn sensor(&self) -> Sensor {
-        self.chip.sensor()
+        self.chip.sensor
     }
 
     fn camera(&self) -> Option<&str> {
-        self.chip.class().rsplit('.').next()
+        self.camera.as_deref()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.assumptions
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.input.leave_out_bad_events();
+        true
     }
 
     fn skipped(&self) -> &Skipped {
@@ -167,7 +144,7 @@ impl Decode for Aedat2Decoder {
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
-        let sensor = self.chip.sensor();
+        let sensor = self.chip.sensor;
         while batch.room() > 0 {
             let Some([a0, a1, a2, a3, t0, t1, t2, t3]) = self.words.next(&mut self.input)? else {
                 break;
@@ -194,7 +171,8 @@ impl Decode for Aedat2Decoder {
                 }
                 _ => {
                     let offset = self.words.offset(&self.input);
-                    return Err(self.input.outside(offset, self.events, x, y, sensor));
+                    self.input
+                        .outside(offset, self.events, (x, y), sensor, &mut self.skipped)?;
                 }
             }
             self.events += 1;
@@ -203,55 +181,64 @@ impl Decode for Aedat2Decoder {
     }
 }
 
-/// The chip that the header names, if any, and the time base; leaves the input at the first word.
-fn read_header(input: &mut Input) -> anyhow::Result<(Option<Chip>, u64)> {
-    let (mut chip, mut time_base_us) = (None, 0);
-    let mut line = Vec::new();
-    loop {
-        let start = input.offset();
-        if start > HEADER_MAX {
-            return Err(input.error("the header is longer than 16 MiB: damaged file"));
+/// What the header says.
+#[derive(Default)]
+struct Header {
+    /// After `# AEChip:`.
+    class: Option<String>,
+    /// From `# sizeX` and `# sizeY`, which some scripts write.
+    size: Option<Sensor>,
+    time_base_us: u64,
+}
+
+impl Header {
+    /// Reads it and leaves the input at the first word.
+    fn read(input: &mut Input) -> anyhow::Result<Self> {
+        let mut header = Self::default();
+        let (mut width, mut height) = (None, None);
+        let mut line = Vec::new();
+        loop {
+            let start = input.offset();
+            if start > HEADER_MAX {
+                return Err(input.error("the header is longer than 16 MiB: damaged file"));
+            }
+            line.clear();
+            input.line(&mut line, LINE_MAX)?;
+            if start == 0 && !line.starts_with(MAGIC) {
+                return Err(input.error_at(0, "no AEDAT 2.0 header (#!AER-DAT2.0)"));
+            }
+            if !is_header_line(&line) {
+                input.seek(start)?;
+                break;
+            }
+            let text = String::from_utf8_lossy(&line);
+            let text = text.trim_start_matches(['#', ' ', '\t']).trim_end();
+            if text.eq_ignore_ascii_case("End Of ASCII Header") {
+                break;
+            }
+            if let Some(class) = text.strip_prefix("AEChip:") {
+                header.class = Some(class.trim().to_owned()).filter(|class| !class.is_empty());
+            } else if let Some(side) = text.strip_prefix("sizeX") {
+                width = side.trim_matches([' ', ':', '=']).parse().ok();
+            } else if let Some(side) = text.strip_prefix("sizeY") {
+                height = side.trim_matches([' ', ':', '=']).parse().ok();
+            } else if let Some(base) = text.strip_prefix(TIME_BASE_KEY) {
+                let base = base.trim().parse().ok();
+                header.time_base_us = base
+                    .filter(|base| *base <= Wrapping::START_MAX)
+                    .ok_or_else(|| input.error_at(start, "the time base is no number"))?;
+            }
         }
-        line.clear();
-        input.line(&mut line, LINE_MAX)?;
-        if start == 0 && !line.starts_with(MAGIC) {
-            return Err(input.error_at(0, "no AEDAT 2.0 header (#!AER-DAT2.0)"));
-        }
-        if !is_header_line(&line) {
-            input.seek(start)?;
-            return Ok((chip, time_base_us));
-        }
-        let text = String::from_utf8_lossy(&line);
-        if text.trim_end() == "#End Of ASCII Header" {
-            return Ok((chip, time_base_us));
-        }
-        if let Some(class) = text.strip_prefix("# AEChip:") {
-            let class = class.trim();
-            chip = match class.rsplit('.').next().unwrap_or(class) {
-                "DVS128" => Some(Chip::Dvs128),
-                "DAVIS240" | "DAVIS240A" | "DAVIS240B" | "DAVIS240C" => Some(Chip::Davis240c),
-                other => {
-                    return Err(input.error_at(
-                        start,
-                        format!("chip {other}: only DVS128 and DAVIS240C are known"),
-                    ));
-                }
-            };
-        } else if let Some(base) = text.strip_prefix(TIME_BASE_KEY) {
-            let base = base
-                .trim()
-                .parse()
-                .ok()
-                .filter(|base| *base <= Wrapping::START_MAX);
-            time_base_us =
-                base.ok_or_else(|| input.error_at(start, "the time base is no number"))?;
-        }
+        header.size = width
+            .zip(height)
+            .and_then(|(width, height)| Sensor::new(width, height));
+        Ok(header)
     }
 }
 
 /// Whether `line` is text after `#`. The first address of a DAVIS240C may begin with the byte of
 /// `#` as well, but then control characters follow.
-fn is_header_line(line: &[u8]) -> bool {
+pub(super) fn is_header_line(line: &[u8]) -> bool {
     let text = line
         .strip_suffix(b"\n")
         .map(|text| text.strip_suffix(b"\r").unwrap_or(text));
@@ -260,21 +247,127 @@ fn is_header_line(line: &[u8]) -> bool {
     })
 }
 
-/// Guesses the chip: the addresses of a DVS128 stay below 2^16. The input stays where it is.
-fn chip_of_addresses(input: &mut Input) -> anyhow::Result<Chip> {
-    let start = input.offset();
-    let mut words = Words::<8>::default();
-    let mut chip = Chip::Dvs128;
-    for _ in 0..CHIP_WORDS {
-        match words.next(input) {
-            Ok(Some([0, 0, ..])) => {}
-            Ok(Some(_)) => chip = Chip::Davis240c,
-            // The reader will meet the damage again, after the events before it.
-            Ok(None) | Err(_) => break,
+/// What is known of a chip that the header does not name, or names by another than a known name.
+struct Guess<'a> {
+    class: Option<&'a str>,
+    size: Option<Sensor>,
+}
+
+impl Guess<'_> {
+    /// The chip that the first addresses speak for. The input stays where it is.
+    fn chip(&self, input: &mut Input, said: &mut Vec<Assumption>) -> anyhow::Result<Chip> {
+        let layout = self.layout(input)?;
+        let is_large = |sensor: &Sensor| *sensor != Chip::DVS128.sensor;
+        let chip = match (layout, self.size) {
+            (Layout::Dvs128, Some(Sensor { width, height }))
+                if self.size.is_some_and(|s| is_large(&s)) =>
+            {
+                let what = format!(
+                    "{} and addresses of 16 bits, as a DVS128 of 128x128 has them, not a sensor of {width}x{height}: \
+                     leave --width and --height out",
+                    self.named()
+                );
+                return Err(input.error(what));
+            }
+            (Layout::Dvs128, _) => Chip::DVS128,
+            (Layout::Davis, Some(sensor)) => Chip { layout, sensor },
+            (Layout::Davis, None) => self.davis(input)?,
+        };
+        let Sensor { width, height } = chip.sensor;
+        let taken = format!("{} of {width}x{height}", layout.name());
+        let why = match (layout, self.size) {
+            (Layout::Dvs128, _) => format!("{} and addresses of 16 bits", self.named()),
+            (_, Some(_)) => format!(
+                "{} and a DAVIS's addresses; the size was given",
+                self.named()
+            ),
+            (_, None) => format!(
+                "{} and a DAVIS's addresses, all of them inside of the DAVIS240; of another one: --width and --height",
+                self.named()
+            ),
+        };
+        said.push(Assumption {
+            what: "chip",
+            taken,
+            why,
+        });
+        Ok(chip)
+    }
+
+    fn named(&self) -> String {
+        match self.class {
+            Some(class) => format!("chip {class} is not known"),
+            None => "no line # AEChip:".to_owned(),
         }
     }
-    input.seek(start)?;
-    Ok(chip)
+
+    /// The layout that all of the first addresses allow.
+    fn layout(&self, input: &mut Input) -> anyhow::Result<Layout> {
+        let start = input.offset();
+        let mut words = Words::<8>::default();
+        let (mut dvs, mut davis, mut count) = (true, true, 0);
+        // The reader will meet damage again, after the events before it.
+        while count < CHIP_WORDS
+            && let Ok(Some([a0, a1, a2, a3, ..])) = words.next(input)
+        {
+            let address = u32::from_be_bytes([a0, a1, a2, a3]);
+            dvs &= Layout::Dvs128.allows(address);
+            davis &= Layout::Davis.allows(address);
+            count += 1;
+        }
+        input.seek(start)?;
+        let is_large = self.size.is_some_and(|size| size != Chip::DVS128.sensor);
+        match (dvs, davis, self.size) {
+            (true, false, _) => Ok(Layout::Dvs128),
+            (false, true, _) => Ok(Layout::Davis),
+            // Samples of old firmware and tags of filters stand in the lower bits; the caller knows the size.
+            (false, false, Some(_)) => Ok(Layout::Davis),
+            (true, true, Some(_)) if is_large || count == 0 => Ok(Layout::Davis),
+            (true, true, _) if count > 0 => Err(input.error(format!(
+                "{}, and its addresses fit a DVS128 as well as a DAVIS: add a line such as \
+                 `# AEChip: DVS128` or `# AEChip: DAVIS240C` to the header, or give --width W --height H",
+                self.named()
+            ))),
+            _ => Err(input.error(format!(
+                "{}, so its size is not known: give --width W --height H",
+                self.named()
+            ))),
+        }
+    }
+
+    /// The DAVIS240, where a look at the whole file finds no address outside of it.
+    fn davis(&self, input: &mut Input) -> anyhow::Result<Chip> {
+        let ask = |input: &Input, why: String| {
+            let what = format!("{}{why}: give --width W --height H", self.named());
+            Err(input.error(what))
+        };
+        if self.class.is_some() {
+            return ask(input, String::new());
+        }
+        let start = input.offset();
+        let mut words = Words::<8>::default();
+        let (mut width, mut height) = (0, 0);
+        while let Ok(Some([a0, a1, a2, a3, ..])) = words.next(input) {
+            let address = u32::from_be_bytes([a0, a1, a2, a3]);
+            if Chip::DAVIS240.decode(address).is_ok() {
+                let (x, y) = Layout::Davis.fields(address);
+                (width, height) = (width.max(x + 1), height.max(y + 1));
+            }
+        }
+        input.seek(start)?;
+        let Sensor {
+            width: columns,
+            height: rows,
+        } = Chip::DAVIS240.sensor;
+        if width > u32::from(columns) || height > u32::from(rows) {
+            let why = format!(
+                ", and its addresses have {width} columns and {height} rows, more than a DAVIS240 (346x260 and \
+                 640x480 are the sizes of others)"
+            );
+            return ask(input, why);
+        }
+        Ok(Chip::DAVIS240)
+    }
 }
 
 /// Writer of AEDAT 2.0 files for the sizes of DVS128 (128x128) and DAVIS240C (240x180).
@@ -295,7 +388,8 @@ impl Aedat2Writer {
     /// # Errors
     /// I/O, a sensor size that no known chip has.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let chip = Chip::ALL.into_iter().find(|chip| chip.sensor() == sensor);
+        let mut chips = [Chip::DVS128, Chip::DAVIS240].into_iter();
+        let chip = chips.find(|chip| chip.sensor == sensor);
         let chip = chip.with_context(|| {
             format!(
                 "{}: AEDAT 2.0 holds DVS128 (128x128) and DAVIS240C (240x180), not {}x{}: \
@@ -323,7 +417,7 @@ impl Aedat2Writer {
             self.chip.class()
         );
         if time.base() > 0 {
-            text += &format!("{TIME_BASE_KEY} {}\r\n", time.base());
+            text += &format!("# {TIME_BASE_KEY} {}\r\n", time.base());
         }
         text += "#End Of ASCII Header\r\n";
         self.file.put(text.as_bytes())?;
@@ -334,7 +428,7 @@ impl Aedat2Writer {
 impl EventWriter for Aedat2Writer {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         for event in events {
-            super::check_inside(self.file.name(), self.events, event, self.chip.sensor())?;
+            super::check_inside(self.file.name(), self.events, event, self.chip.sensor)?;
             let mut time = match self.time.take() {
                 Some(time) => time,
                 None => self.header(event.t_us)?,

@@ -5,8 +5,9 @@
 //! packet table. A packet's content and the packet table are size-prefixed `FlatBuffers`, each
 //! compressed as one frame. An event is 16 bytes: i64 t in us, i16 x, i16 y, u8 polarity, padding.
 //!
-//! Events come from the first event stream in the XML. Frames, IMU samples, triggers and the
-//! events of further streams are counted as skipped.
+//! Events come from the stream that is named behind the file (`FILE.aedat4/1`, or its camera's or output's name), or
+//! else from the first event stream in the XML, which is said where there are several. Frames, IMU samples,
+//! triggers and the events of further streams are counted as skipped.
 //!
 //! A recording is sought by its packet table, as `aedat4_table.rs` says. One that is still being written, or
 //! was interrupted, says that it has none (position -1, or 0 from DV): it ends with its last packet, or where
@@ -21,14 +22,14 @@ use std::io::Read;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
-use super::Skipped;
 use super::aedat4_table::{Entry, PacketTable};
 use super::aedat4_writer::Aedat4Writer;
 use super::flatbuffer::{Buffer, Vector};
 use super::format::{Format, Limits, Opening};
-use super::input::{Batch, Decode, Input, ReadSeek, Reader};
+use super::input::{Batch, Decode, Input, OUTSIDE, ReadSeek, Reader};
 use super::lz4_frame::{self, Content as Unpacked};
 use super::runs::RUN_WORDS;
+use super::{Assumption, Skipped};
 
 /// First bytes of every AEDAT 4.0 file.
 pub const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
@@ -86,6 +87,32 @@ struct Stream {
     content: Content,
     size: Option<(u64, u64)>,
     source: Option<String>,
+    /// What the program that wrote it called it.
+    output: Option<String>,
+}
+
+impl Stream {
+    /// Whether `place` names it: by its number, its camera, its output's name, or camera and name.
+    fn is_named(&self, place: &str) -> bool {
+        let is = |name: &Option<String>, part: &str| name.as_deref() == Some(part);
+        let both = place.split_once('/');
+        place == self.id.to_string()
+            || is(&self.source, place)
+            || is(&self.output, place)
+            || both.is_some_and(|(source, output)| {
+                is(&self.source, source) && is(&self.output, output)
+            })
+    }
+
+    /// Its number and its names, for messages.
+    fn title(&self) -> String {
+        let names = [&self.source, &self.output].into_iter().flatten();
+        let names: Vec<&str> = names.map(String::as_str).collect();
+        match names.as_slice() {
+            [] => self.id.to_string(),
+            names => format!("{} ({})", self.id, names.join(", ")),
+        }
+    }
 }
 
 /// This format in the table of formats.
@@ -98,9 +125,17 @@ pub const FORMAT: Format = Format {
                source,
                name,
                reading,
+               place,
                ..
-           }| Ok(Box::new(Aedat4Reader::new(source, name, reading.size)?)),
-    has_places: false,
+           }| {
+        Ok(Box::new(Aedat4Reader::of_stream(
+            source,
+            name,
+            place,
+            reading.size,
+        )?))
+    },
+    has_places: true,
     grows: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Aedat4Writer::create(path, sensor)?))),
@@ -119,6 +154,19 @@ impl Aedat4Reader {
         name: &str,
         size: Option<Sensor>,
     ) -> anyhow::Result<Self> {
+        Self::of_stream(source, name, None, size)
+    }
+
+    /// As [`Aedat4Reader::new`], the events of the stream that `place` names.
+    ///
+    /// # Errors
+    /// As [`Aedat4Reader::new`]; no event stream of that name, or more than one.
+    pub fn of_stream(
+        source: Box<dyn ReadSeek>,
+        name: &str,
+        place: Option<&str>,
+        size: Option<Sensor>,
+    ) -> anyhow::Result<Self> {
         let mut input = Input::new(source, name)?;
         let mut start = [0; MAGIC.len()];
         if input.fill(&mut start)? < start.len() || &start != MAGIC {
@@ -130,7 +178,8 @@ impl Aedat4Reader {
             table_position,
             xml,
         } = header;
-        let streams = streams_of(&xml).map_err(|what| input.error_at(18, what))?;
+        let mut streams = streams_of(&xml).map_err(|what| input.error_at(18, what))?;
+        let assumption = choose(&mut streams, place).map_err(|what| input.error_at(18, what))?;
         let Some(stream) = streams
             .iter()
             .find(|stream| stream.content == Content::Events)
@@ -158,6 +207,8 @@ impl Aedat4Reader {
             stream_id,
             sensor,
             camera,
+            assumptions: assumption.into_iter().collect(),
+            leave_out: false,
             table: None,
             raw: Vec::new(),
             packet: Unpacked::default(),
@@ -241,11 +292,7 @@ fn streams_of(xml: &str) -> Result<Vec<Stream>, String> {
         let id = name
             .parse()
             .map_err(|_| format!("stream name {name:?} is no number"))?;
-        let first_events = !streams
-            .iter()
-            .any(|stream| stream.content == Content::Events);
         let content = match kind.as_str() {
-            "EVTS" if first_events => Content::Events,
             "EVTS" => Content::OtherEvents,
             "FRME" => Content::Frames,
             "IMUS" => Content::Imu,
@@ -263,9 +310,52 @@ fn streams_of(xml: &str) -> Result<Vec<Stream>, String> {
             content,
             size,
             source: of_info("source"),
+            output: attribute(node, "originalOutputName"),
         });
     }
     Ok(streams)
+}
+
+/// Makes the event stream that `place` names, or the first one, the one that is read; what was chosen where there
+/// was a choice.
+fn choose(streams: &mut [Stream], place: Option<&str>) -> Result<Option<Assumption>, String> {
+    let is_events = |stream: &&Stream| stream.content == Content::OtherEvents;
+    let titles: Vec<String> = streams
+        .iter()
+        .filter(is_events)
+        .map(Stream::title)
+        .collect();
+    let all = titles.join(", ");
+    let mut found = streams
+        .iter_mut()
+        .filter(|stream| stream.content == Content::OtherEvents)
+        .filter(|stream| place.is_none_or(|place| stream.is_named(place)));
+    let Some(stream) = found.next() else {
+        return match place {
+            Some(place) if !titles.is_empty() => {
+                Err(format!("no event stream {place}: the recording has {all}"))
+            }
+            _ => Ok(None),
+        };
+    };
+    if let Some(place) = place {
+        if found.next().is_some() {
+            return Err(format!(
+                "more than one event stream is called {place}: name one by its number: {all}"
+            ));
+        }
+        stream.content = Content::Events;
+        return Ok(None);
+    }
+    stream.content = Content::Events;
+    let taken = stream.title();
+    Ok((titles.len() > 1).then(|| Assumption {
+        what: "stream",
+        taken,
+        why: format!(
+            "the first of {all}; another one is named behind the file, as in FILE.aedat4/1"
+        ),
+    }))
 }
 
 /// State between two batches: one decompressed packet.
@@ -277,6 +367,9 @@ pub struct Aedat4Decoder {
     stream_id: i32,
     sensor: Sensor,
     camera: Option<String>,
+    assumptions: Vec<Assumption>,
+    /// Whether events that cannot be ones are counted instead of refused.
+    leave_out: bool,
     /// Byte of the first packet.
     start: u64,
     /// Where the packets end; `None` where only the file's end or the packet table itself says it.
@@ -526,8 +619,17 @@ impl Decode for Aedat4Decoder {
         self.camera.as_deref()
     }
 
+    fn assumptions(&self) -> &[Assumption] {
+        &self.assumptions
+    }
+
     fn skipped(&self) -> &Skipped {
         &self.skipped
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.leave_out = true;
+        true
     }
 
     fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
@@ -569,17 +671,23 @@ impl Decode for Aedat4Decoder {
                     .map(|bytes| RawEvent::parse(*bytes).event()),
             );
             self.events += sound as u64;
-            if let Some((_, event)) = wrong {
-                let what = if event.t < 0 {
-                    "has a negative time"
+            let mut taken = count;
+            if let Some((index, event)) = wrong {
+                let (what, kind) = if event.t < 0 {
+                    ("has a negative time", "events with a negative time")
                 } else {
-                    "is outside of the sensor"
+                    ("is outside of the sensor", OUTSIDE)
                 };
-                return Err(self.event_error(&event, what));
+                if !self.leave_out {
+                    return Err(self.event_error(&event, what));
+                }
+                self.skipped.add(kind, 1);
+                self.events += 1;
+                taken = index + 1;
             }
             self.elements = Vector {
-                start: start + count * EVENT_BYTES,
-                len: len - count,
+                start: start + taken * EVENT_BYTES,
+                len: len - taken,
             };
         }
         Ok(())

@@ -26,7 +26,7 @@ use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::raw_header::RawHeader;
 use super::runs::RUN_WORDS;
 use super::wrapping::Wrapping;
-use super::{DatWriter, Skipped};
+use super::{Assumption, DatWriter, Skipped};
 
 /// Bytes of a record.
 pub(super) const RECORD_BYTES: u64 = 8;
@@ -136,6 +136,7 @@ impl DatReader {
         let sensor = header.sensor_or(size, &input)?;
         let start = input.offset();
         let t0_us = header.t0_us(&input)?;
+        let mut assumptions = Vec::new();
         let version = match header.version.as_deref() {
             Some("2") => Version::Two,
             Some("0" | "1") => Version::One,
@@ -143,7 +144,11 @@ impl DatReader {
                 let what = format!("version {other} of DAT is not known: only 1 and 2 are");
                 return Err(input.error_at(0, what));
             }
-            None => version_of_records(&mut input)?,
+            None => {
+                let (version, assumption) = version_of_records(&mut input, sensor)?;
+                assumptions.push(assumption);
+                version
+            }
         };
         Ok(Self::around(DatDecoder {
             input,
@@ -154,6 +159,7 @@ impl DatReader {
             t0_us,
             time: Wrapping::new(32, 0),
             times: None,
+            assumptions,
             events: 0,
             skipped: Skipped::default(),
         }))
@@ -161,20 +167,45 @@ impl DatReader {
 }
 
 /// The version that the first records speak for; the input stays where it is.
-fn version_of_records(input: &mut Input) -> anyhow::Result<Version> {
+///
+/// Records of version 1 leave the upper bits empty, and read as version 2 most of them lie outside of the sensor;
+/// version 2 with polarity OFF in the first 128 rows leaves them empty as well.
+fn version_of_records(input: &mut Input, sensor: Sensor) -> anyhow::Result<(Version, Assumption)> {
     let start = input.offset();
     let mut words = Words::<8>::default();
-    let mut version = Version::One;
+    let (mut is_one, mut is_two) = (true, true);
     for _ in 0..VERSION_RECORDS {
-        match words.next(input) {
-            Ok(Some(record)) if u64::from_le_bytes(record) >> 53 == 0 => {}
-            Ok(Some(_)) => version = Version::Two,
-            // The reader will meet the damage again, after the events before it.
-            Ok(None) | Err(_) => break,
-        }
+        // The reader will meet damage again, after the events before it.
+        let Ok(Some(record)) = words.next(input) else {
+            break;
+        };
+        let (_, x, y, _) = parse::<9, 8>(record);
+        is_one &= u64::from_le_bytes(record) >> 53 == 0 && sensor.contains(x, y);
+        let (_, x, y, _) = parse::<14, 14>(record);
+        is_two &= sensor.contains(x, y);
     }
     input.seek(start)?;
-    Ok(version)
+    let (version, why) = match (is_one, is_two) {
+        (true, false) => (
+            Version::One,
+            "no record fits version 2 and all fit version 1",
+        ),
+        (false, true) => (
+            Version::Two,
+            "no record fits version 1 and all fit version 2",
+        ),
+        (true, true) => (Version::Two, "the first records fit version 1 as well"),
+        (false, false) => (Version::Two, "the first records fit no version"),
+    };
+    let taken = if version == Version::One { "1" } else { "2" };
+    Ok((
+        version,
+        Assumption {
+            what: "version",
+            taken: taken.to_owned(),
+            why: format!("no line % Version; {why}"),
+        },
+    ))
 }
 
 /// State between two records.
@@ -189,6 +220,7 @@ pub struct DatDecoder {
     time: Wrapping,
     /// Since the first seek.
     times: Option<Times>,
+    assumptions: Vec<Assumption>,
     events: u64,
     skipped: Skipped,
 }
@@ -233,8 +265,11 @@ impl DatDecoder {
                 let t_us = self.time.extend(u64::from(low)) + t0_us;
                 if !sensor.contains(x, y) {
                     let offset = offset + index as u64 * RECORD_BYTES;
-                    let (x, y) = (i64::from(x), i64::from(y));
-                    return Err(self.input.outside(offset, self.events, x, y, sensor));
+                    let pixel = (i64::from(x), i64::from(y));
+                    self.input
+                        .outside(offset, self.events, pixel, sensor, &mut self.skipped)?;
+                    self.events += 1;
+                    continue;
                 }
                 batch.push(Event {
                     t_us,
@@ -270,6 +305,15 @@ impl Decode for DatDecoder {
 
     fn skipped(&self) -> &Skipped {
         &self.skipped
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.assumptions
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.input.leave_out_bad_events();
+        true
     }
 
     fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {

@@ -86,6 +86,20 @@ impl Decimal {
         fits.then_some(value).ok_or(OutOfRange)
     }
 
+    /// The value times 10^`shift`, rounded as [`Decimal::scaled`] does, of either sign.
+    ///
+    /// # Errors
+    /// Beyond 2^63 - 1 either way.
+    pub fn signed(self, shift: i32) -> Result<i64, OutOfRange> {
+        let size = Self {
+            negative: false,
+            ..self
+        };
+        // At most 2^63 - 1.
+        let size = size.scaled(shift)?.cast_signed();
+        Ok(if self.negative { -size } else { size })
+    }
+
     /// The value where it is whole and not negative: `12`, `12.0`, `1.2e1`.
     pub fn whole(self) -> Option<u64> {
         let value = self.scaled(0).ok()?;

@@ -201,14 +201,17 @@ impl EsDecoder {
         Ok(u16::from_le_bytes([self.byte()?, self.byte()?]))
     }
 
-    /// The pixel of an event that began at byte `offset`, its row counted from the uppermost.
-    fn pixel(&mut self, offset: u64) -> anyhow::Result<(u16, u16)> {
+    /// The pixel of an event that began at byte `offset`, its row counted from the uppermost; none where it is
+    /// left out.
+    fn pixel(&mut self, offset: u64) -> anyhow::Result<Option<(u16, u16)>> {
         let (x, y) = (self.side()?, self.side()?);
         if !self.sensor.contains(x, y) {
-            let (x, y) = (i64::from(x), i64::from(y));
-            return Err(self.input.outside(offset, self.events, x, y, self.sensor));
+            let (pixel, skipped) = ((i64::from(x), i64::from(y)), &mut self.skipped);
+            self.input
+                .outside(offset, self.events, pixel, self.sensor, skipped)?;
+            return Ok(None);
         }
-        Ok((x, self.sensor.height - 1 - y))
+        Ok(Some((x, self.sensor.height - 1 - y)))
     }
 
     /// Steps over a generic event's length and bytes.
@@ -244,6 +247,11 @@ impl Decode for EsDecoder {
         &self.skipped
     }
 
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.input.leave_out_bad_events();
+        true
+    }
+
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
         while batch.room() > 0 {
             let Some([byte]) = self.bytes.next(&mut self.input)? else {
@@ -263,15 +271,19 @@ impl Decode for EsDecoder {
                 self.skipped.add("generic events", 1);
                 continue;
             }
-            let (x, y) = self.pixel(offset)?;
+            let pixel = self.pixel(offset)?;
             self.events += 1;
             match polarity {
-                Some(polarity) => batch.push(Event {
-                    t_us: self.t_us,
-                    x,
-                    y,
-                    polarity,
-                }),
+                Some(polarity) => {
+                    if let Some((x, y)) = pixel {
+                        batch.push(Event {
+                            t_us: self.t_us,
+                            x,
+                            y,
+                            polarity,
+                        });
+                    }
+                }
                 None if self.kind == Kind::Colour => {
                     for _ in 0..3 {
                         self.byte()?;

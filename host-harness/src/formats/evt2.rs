@@ -106,6 +106,11 @@ impl Decode for Evt2Decoder {
         &self.skipped
     }
 
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.input.leave_out_bad_events();
+        true
+    }
+
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
         let mut scratch = [NO_EVENT; RUN_WORDS];
         while batch.room() > 0 {
@@ -129,8 +134,10 @@ impl Decode for Evt2Decoder {
                 match self.decoder.decode(word) {
                     Word::Event(Event { x, y, .. }) if !self.sensor.contains(x, y) => {
                         let offset = offset + 4 * taken as u64;
-                        let (x, y) = (i64::from(x), i64::from(y));
-                        return Err(self.input.outside(offset, self.events, x, y, self.sensor));
+                        let (pixel, skipped) = ((i64::from(x), i64::from(y)), &mut self.skipped);
+                        self.input
+                            .outside(offset, self.events, pixel, self.sensor, skipped)?;
+                        self.events += 1;
                     }
                     Word::Event(event) => {
                         batch.push(event);

@@ -132,12 +132,16 @@ impl Evt21Decoder {
         let y = (word >> Y_SHIFT & SIDE) as u16;
         let x = (word >> X_SHIFT & SIDE) as u32;
         let row = Row { t_us, y, polarity };
-        let emitted = row.emit(x, columns, self.sensor, &mut self.events, batch);
-        emitted.map_err(|Outside { x, y }| {
-            let offset = self.words.offset(&self.input);
+        let mut columns = columns;
+        while let Err(outside) = row.emit(x, columns, self.sensor, &mut self.events, batch) {
+            let Outside { x, y, left } = outside;
+            let (offset, pixel) = (self.words.offset(&self.input), (x.into(), y.into()));
             self.input
-                .outside(offset, self.events, x.into(), y.into(), self.sensor)
-        })
+                .outside(offset, self.events, pixel, self.sensor, &mut self.skipped)?;
+            self.events += 1;
+            columns = left;
+        }
+        Ok(())
     }
 }
 
@@ -156,6 +160,11 @@ impl Decode for Evt21Decoder {
 
     fn skipped(&self) -> &Skipped {
         &self.skipped
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.input.leave_out_bad_events();
+        true
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {

@@ -30,7 +30,7 @@ use std::path::Path;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::format::{Format, Limits, Opening};
-use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
+use super::input::{Batch, Decode, Input, OUTSIDE, ReadSeek, Reader, Words};
 use super::raw_header::{self, RawFile};
 use super::raw_row::{Outside, Row};
 use super::raw_writer::RawWriter;
@@ -140,6 +140,11 @@ impl Decode for Evt3Decoder {
         &self.skipped
     }
 
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.decoder.leave_out = true;
+        true
+    }
+
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
         let mut scratch = [NO_EVENT; RUN_WORDS];
         while batch.room() >= VECTOR_EVENTS {
@@ -164,11 +169,13 @@ impl Decode for Evt3Decoder {
                     break;
                 }
                 let word = u16::from_le_bytes(*word);
-                if let Err(Outside { x, y }) = self.decoder.decode(word, batch, &mut self.skipped) {
+                let decoded = self.decoder.decode(word, batch, &mut self.skipped);
+                if let Err(Outside { x, y, .. }) = decoded {
                     let offset = offset + 2 * taken as u64;
                     let WordDecoder { events, sensor, .. } = self.decoder;
-                    let (x, y) = (x.into(), y.into());
-                    return Err(self.input.outside(offset, events, x, y, sensor));
+                    let pixel = (x.into(), y.into());
+                    self.input
+                        .outside(offset, events, pixel, sensor, &mut self.skipped)?;
                 }
                 taken += 1;
                 if word >> 12 == TIME_HIGH {
@@ -212,6 +219,8 @@ pub(super) struct WordDecoder {
     base: Option<(u32, Polarity)>,
     /// Events given so far.
     pub events: u64,
+    /// Whether events outside of the sensor are counted instead of refused.
+    pub leave_out: bool,
 }
 
 impl WordDecoder {
@@ -225,6 +234,7 @@ impl WordDecoder {
             y: None,
             base: None,
             events: 0,
+            leave_out: false,
         }
     }
 
@@ -266,7 +276,16 @@ impl WordDecoder {
         };
         let t_us = (high << TIME_BITS | u64::from(self.low)) + self.t0_us;
         let row = Row { t_us, y, polarity };
-        row.emit(x, bits.into(), self.sensor, &mut self.events, batch)
+        let mut bits = bits.into();
+        while let Err(outside) = row.emit(x, bits, self.sensor, &mut self.events, batch) {
+            if !self.leave_out {
+                return Err(outside);
+            }
+            skipped.add(OUTSIDE, 1);
+            self.events += 1;
+            bits = outside.left;
+        }
+        Ok(())
     }
 
     fn vector(

@@ -10,8 +10,8 @@ use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
 use super::reading::Reading;
 use super::{
-    EventReader, EventWriter, aedat2, aedat4, arrow, dat, es, evt2, evt3, evt4, evt21, frames,
-    hdf5, mat, nmnist, npz, parquet, ros, text,
+    EventReader, EventWriter, adjusted, aedat1, aedat2, aedat3, aedat4, arrow, dat, es, evt2, evt3,
+    evt4, evt21, frames, hdf5, mat, nmnist, npz, parquet, ros, text,
 };
 
 /// Bytes that a format is told by.
@@ -22,6 +22,8 @@ pub const FORMATS: &[Format] = &[
     frames::FORMAT,
     aedat4::FORMAT,
     aedat2::FORMAT,
+    aedat1::FORMAT,
+    aedat3::FORMAT,
     evt2::FORMAT,
     evt21::FORMAT,
     evt3::FORMAT,
@@ -137,7 +139,7 @@ pub struct Opening<'a> {
 /// Opens a recording, its format found by content; `reading` says what the file does not.
 ///
 /// A dataset or group of an HDF5 file is named behind it: `FILE.hdf5/davis/right/events`; so is a topic
-/// of a bag of ROS. A folder with a `metadata.yaml` is a bag of ROS 2.
+/// of a bag of ROS, and a stream of an AEDAT 4 file. A folder with a `metadata.yaml` is a bag of ROS 2.
 ///
 /// # Errors
 /// Unknown format, unreadable file, damaged header.
@@ -151,7 +153,10 @@ pub fn open(path: &Path, reading: impl Into<Reading>) -> anyhow::Result<Box<dyn 
     let name = file.display().to_string();
     let metadata = std::fs::metadata(file).with_context(|| format!("{name}: cannot be opened"))?;
     if metadata.is_dir() {
-        return Ok(Box::new(ros::folder::open(file, place, reading.size)?));
+        let format = &ros::folder::FORMAT;
+        adjusted::check(format, &name, &reading)?;
+        let reader = ros::folder::open(file, place, reading.size)?;
+        return adjusted::adjusted(Box::new(reader), format, &name, &reading);
     }
     let source = File::open(file).with_context(|| format!("{name}: cannot be opened"))?;
     open_place(Opening {
@@ -200,7 +205,9 @@ fn open_place(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
     let mut bytes = vec![0; START_BYTES];
     let filled = input.fill(&mut bytes)?;
     bytes.truncate(filled);
-    if bytes.is_empty() {
+    // Text and N-MNIST have no header: a recording of no events is an empty file.
+    let may_be_empty = |ending| name.to_ascii_lowercase().ends_with(ending);
+    if bytes.is_empty() && ![".bin", ".csv", ".txt"].into_iter().any(may_be_empty) {
         anyhow::bail!("{name}: byte 0: the file is empty");
     }
     let header = if bytes.starts_with(b"%") {
@@ -223,10 +230,13 @@ fn open_place(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
         "{name}: {} has no places: nothing is behind its name",
         format.title
     );
-    (format.open)(Opening {
+    adjusted::check(format, name, &opening.reading)?;
+    let reading = opening.reading.clone();
+    let reader = (format.open)(Opening {
         source: input.into_source(),
         ..opening
-    })
+    })?;
+    adjusted::adjusted(reader, format, name, &reading)
 }
 
 /// What a file is not, told as well as it can be.
@@ -234,7 +244,7 @@ fn unknown(start: &Start) -> anyhow::Error {
     let name = start.name;
     if start.begins(b"#!AER-DAT") {
         return anyhow::anyhow!(
-            "{name}: byte 0: only AEDAT 2.0 and 4.0 are known: convert it with DV"
+            "{name}: byte 0: only AEDAT 1, 2, 3 and 4 are known: convert it with DV"
         );
     }
     let words = start.header.as_ref().map(|header| &header.words);

@@ -106,7 +106,8 @@ fn has_no_size(path: &Path, reading: &Reading, sensor: Sensor) -> Result<bool> {
         size: Some(larger),
         ..reading.clone()
     };
-    Ok(open(path, reading)?.sensor() != sensor)
+    // Where another size is refused, the file tells its own.
+    Ok(open(path, reading).is_ok_and(|reader| reader.sensor() != sensor))
 }
 
 /// A file whose end is where it has not grown for long enough.

@@ -1,28 +1,29 @@
 //! Byte source of every reader: a file or memory, its name and its position.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
+use std::io::{BufRead, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
-use super::{Assumption, BATCH_EVENTS, EventReader, Skipped};
+use super::input_buffer::{BUFFER_BYTES, InputBuffer};
+use super::{Assumption, BATCH_EVENTS, BadEvents, EventReader, Skipped};
 
 /// What a reader can read from: a file, or bytes in memory (`std::io::Cursor`).
 pub trait ReadSeek: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> ReadSeek for T {}
 
-/// Bytes read from the source at once.
-const BUFFER_BYTES: usize = 1 << 16;
+/// What events outside of the sensor are counted as where they are left out.
+pub const OUTSIDE: &str = "events outside of the sensor";
 
 /// A source with the name and the position that error messages carry.
 pub struct Input {
-    reader: BufReader<Box<dyn ReadSeek>>,
+    buffer: InputBuffer,
     name: String,
-    offset: u64,
     length: u64,
+    bad_events: BadEvents,
 }
 
 impl Input {
@@ -43,24 +44,21 @@ impl Input {
     /// # Errors
     /// The source cannot be sought.
     pub fn new(mut source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<Self> {
-        let seek = |source: &mut Box<dyn ReadSeek>, to| {
-            let context = || format!("{name}: cannot be sought; pipes are not supported");
-            source.seek(to).with_context(context)
-        };
-        let length = seek(&mut source, SeekFrom::End(0))?;
-        seek(&mut source, SeekFrom::Start(0))?;
+        let length = source
+            .seek(SeekFrom::End(0))
+            .with_context(|| format!("{name}: cannot be sought; pipes are not supported"))?;
         Ok(Self {
-            reader: BufReader::with_capacity(BUFFER_BYTES, source),
+            buffer: InputBuffer::new(source),
             name: name.to_owned(),
-            offset: 0,
             length,
+            bad_events: BadEvents::Refuse,
         })
     }
 
     /// Gives the source back, at any position.
     #[must_use]
     pub fn into_source(self) -> Box<dyn ReadSeek> {
-        self.reader.into_inner()
+        self.buffer.into_source()
     }
 
     /// Name for messages.
@@ -72,7 +70,7 @@ impl Input {
     /// Position of the next byte.
     #[must_use]
     pub fn offset(&self) -> u64 {
-        self.offset
+        self.buffer.offset()
     }
 
     /// Bytes from the start to the end.
@@ -86,12 +84,10 @@ impl Input {
     /// # Errors
     /// I/O.
     pub fn at_end(&mut self) -> anyhow::Result<bool> {
-        loop {
-            match self.reader.fill_buf() {
-                Ok(bytes) => return Ok(bytes.is_empty()),
-                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(self.unreadable(error)),
-            }
+        let offset = self.offset();
+        match self.buffer.fill_buf() {
+            Ok(bytes) => Ok(bytes.is_empty()),
+            Err(error) => Err(self.unreadable(offset, error)),
         }
     }
 
@@ -100,22 +96,23 @@ impl Input {
     /// # Errors
     /// I/O.
     pub fn end(&mut self) -> anyhow::Result<u64> {
-        let sought = self.reader.seek(SeekFrom::End(0));
-        self.offset = sought.with_context(|| format!("{}: its end cannot be sought", self.name))?;
-        Ok(self.offset)
+        let end = self.buffer.end();
+        let end = end.with_context(|| format!("{}: its end cannot be sought", self.name))?;
+        self.buffer.seek(end);
+        Ok(end)
     }
 
     /// Continues at byte `offset`.
     ///
     /// # Errors
-    /// I/O.
+    /// An offset above 2^63, which no file has.
     pub fn seek(&mut self, offset: u64) -> anyhow::Result<()> {
-        let moved = match i64::try_from(i128::from(offset) - i128::from(self.offset)) {
-            Ok(distance) => self.reader.seek_relative(distance),
-            Err(_) => self.reader.seek(SeekFrom::Start(offset)).map(drop),
-        };
-        moved.with_context(|| format!("{}: byte {offset}: cannot be sought", self.name))?;
-        self.offset = offset;
+        anyhow::ensure!(
+            i64::try_from(offset).is_ok(),
+            "{}: byte {offset}: cannot be sought",
+            self.name
+        );
+        self.buffer.seek(offset);
         Ok(())
     }
 
@@ -127,15 +124,15 @@ impl Input {
         if end <= self.length {
             return Ok(true);
         }
-        let here = self.offset;
+        let here = self.offset();
         let is_there = self.fill_at(end - 1, &mut [0])? == 1;
         if is_there {
-            let length = self.reader.get_mut().seek(SeekFrom::End(0));
-            self.length = length.map_err(|error| self.unreadable(error))?.max(end);
+            let length = self.buffer.end();
+            self.length = length
+                .map_err(|error| self.unreadable(end, error))?
+                .max(end);
         }
-        let sought = self.reader.seek(SeekFrom::Start(here));
-        sought.map_err(|error| self.unreadable(error))?;
-        self.offset = here;
+        self.seek(here)?;
         Ok(is_there)
     }
 
@@ -145,25 +142,8 @@ impl Input {
     /// I/O.
     pub fn fill(&mut self, bytes: &mut [u8]) -> anyhow::Result<usize> {
         // As much as the buffer holds is read past it, and copied only once.
-        let is_block = bytes.len() >= BUFFER_BYTES;
-        let mut filled = 0;
-        while let Some(rest) = bytes.get_mut(filled..).filter(|rest| !rest.is_empty()) {
-            let read = if is_block && self.reader.buffer().is_empty() {
-                self.reader.get_mut().read(rest)
-            } else {
-                self.reader.read(rest)
-            };
-            match read {
-                Ok(0) => break,
-                Ok(n) => {
-                    filled += n;
-                    self.offset += n as u64;
-                }
-                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(self.unreadable(error)),
-            }
-        }
-        Ok(filled)
+        let past = bytes.len() >= BUFFER_BYTES;
+        self.read_all(bytes, past)
     }
 
     /// Fills `bytes` from byte `offset` on, or as much of it as the source has there; returns how much. Reads
@@ -172,20 +152,20 @@ impl Input {
     /// # Errors
     /// I/O.
     pub fn fill_at(&mut self, offset: u64, bytes: &mut [u8]) -> anyhow::Result<usize> {
-        // Unlike a relative one, this leaves nothing in the buffer.
-        let sought = self.reader.seek(SeekFrom::Start(offset));
-        sought.with_context(|| format!("{}: byte {offset}: cannot be sought", self.name))?;
-        self.offset = offset;
+        self.seek(offset)?;
+        self.read_all(bytes, true)
+    }
+
+    fn read_all(&mut self, bytes: &mut [u8], past: bool) -> anyhow::Result<usize> {
         let mut filled = 0;
-        while let Some(free) = bytes.get_mut(filled..).filter(|free| !free.is_empty()) {
-            match self.reader.get_mut().read(free) {
+        while let Some(rest) = bytes.get_mut(filled..).filter(|rest| !rest.is_empty()) {
+            let offset = self.offset();
+            match self.buffer.read_some(rest, past) {
                 Ok(0) => break,
-                Ok(n) => filled += n,
-                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(self.unreadable(error)),
+                Ok(read) => filled += read,
+                Err(error) => return Err(self.unreadable(offset, error)),
             }
         }
-        self.offset += filled as u64;
         Ok(filled)
     }
 
@@ -195,19 +175,18 @@ impl Input {
     /// # Errors
     /// I/O.
     pub fn line(&mut self, line: &mut Vec<u8>, cap: usize) -> anyhow::Result<usize> {
+        let offset = self.offset();
         let read = self
-            .reader
+            .buffer
             .by_ref()
             .take(cap as u64)
             .read_until(b'\n', line);
-        let n = read.map_err(|error| self.unreadable(error))?;
-        self.offset += n as u64;
-        Ok(n)
+        read.map_err(|error| self.unreadable(offset, error))
     }
 
     /// Error at the present position: name, offset and `what`.
     pub fn error(&self, what: impl std::fmt::Display) -> anyhow::Error {
-        self.error_at(self.offset, what)
+        self.error_at(self.offset(), what)
     }
 
     /// Error at byte `offset`.
@@ -215,11 +194,9 @@ impl Input {
         anyhow::anyhow!("{}: byte {offset}: {what}", self.name)
     }
 
-    fn unreadable(&self, error: std::io::Error) -> anyhow::Error {
-        anyhow::Error::new(error).context(format!(
-            "{}: byte {}: cannot be read",
-            self.name, self.offset
-        ))
+    fn unreadable(&self, offset: u64, error: std::io::Error) -> anyhow::Error {
+        let what = format!("{}: byte {offset}: cannot be read", self.name);
+        anyhow::Error::new(error).context(what)
     }
 }
 
@@ -243,6 +220,11 @@ pub trait Decode: Send {
 
     /// As [`EventReader::skipped`].
     fn skipped(&self) -> &Skipped;
+
+    /// As [`EventReader::leave_out_bad_events`].
+    fn leave_out_bad_events(&mut self) -> bool {
+        false
+    }
 
     /// As [`EventReader::seek`].
     ///
@@ -371,6 +353,10 @@ impl<D: Decode> EventReader for Reader<D> {
     fn skipped(&self) -> &Skipped {
         self.decoder.skipped()
     }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.decoder.leave_out_bad_events()
+    }
 }
 
 /// Fixed-size words of an [`Input`], read in blocks.
@@ -465,22 +451,34 @@ impl<const N: usize> Words<N> {
 }
 
 impl Input {
-    /// Error for event number `index` at byte `offset` that lies outside of the sensor.
+    /// From here on, [`Input::outside`] is no error.
+    pub fn leave_out_bad_events(&mut self) {
+        self.bad_events = BadEvents::LeaveOut;
+    }
+
+    /// Refuses event number `index` at byte `offset`, which lies outside of the sensor at (x, y), or counts it.
+    ///
+    /// # Errors
+    /// Always, but after [`Input::leave_out_bad_events`].
     pub fn outside(
         &self,
         offset: u64,
         index: u64,
-        x: i64,
-        y: i64,
+        (x, y): (i64, i64),
         sensor: Sensor,
-    ) -> anyhow::Error {
+        skipped: &mut Skipped,
+    ) -> anyhow::Result<()> {
+        if self.bad_events == BadEvents::LeaveOut {
+            skipped.add(OUTSIDE, 1);
+            return Ok(());
+        }
         let Sensor { width, height } = sensor;
-        self.error_at(
+        Err(self.error_at(
             offset,
             format!(
-                "event {index} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): \
-                 the recording is damaged, or its size is another: see --width and --height"
+                "event {index} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): the recording \
+                 is damaged, or its size is another: see --width and --height, and --leave-out-bad-events"
             ),
-        )
+        ))
     }
 }

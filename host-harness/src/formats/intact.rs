@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn events_before_the_damage_come_and_the_damage_is_told() {
-        let text = "0,1,1,1\n5,2,2,0\n7,nonsense,3,1\n9,4,4,1\n";
+        let text = "t,x,y,p\n0,1,1,1\n5,2,2,0\n7,nonsense,3,1\n9,4,4,1\n";
         let size = Sensor::new(8, 8);
         let reader = open_source(Box::new(Cursor::new(text)), "a.csv", size).unwrap();
         let mut intact = Intact::new(reader);
@@ -95,13 +95,14 @@ mod tests {
         assert_eq!(events.len(), 2);
         assert_eq!(intact.pause(), Pause::Ended);
         let damage = intact.damage().unwrap().to_string();
-        assert!(damage.contains("a.csv: byte 16"), "{damage}");
+        assert!(damage.contains("a.csv: byte 24"), "{damage}");
     }
 
     #[test]
     fn a_whole_recording_has_no_damage() {
         let size = Sensor::new(8, 8);
-        let reader = open_source(Box::new(Cursor::new("0,1,1,1\n")), "a.csv", size).unwrap();
+        let reader =
+            open_source(Box::new(Cursor::new("t,x,y,p\n0,1,1,1\n")), "a.csv", size).unwrap();
         let mut intact = Intact::new(reader);
         while intact.read(&mut Vec::new()).unwrap() > 0 {}
         assert!(intact.damage().is_none());

@@ -3,10 +3,14 @@
 //! A reader streams: it holds one batch and its decoder's state, never the file.
 //! Detection goes by content; the extension decides only where a recording is written.
 
+mod adjusted;
+pub mod aedat1;
 pub mod aedat2;
+pub mod aedat3;
 pub mod aedat4;
 mod aedat4_table;
 mod aedat4_writer;
+mod aedat_chip;
 pub mod ahead;
 pub mod arrow;
 pub mod dat;
@@ -27,6 +31,7 @@ pub mod frames;
 pub mod growing;
 pub mod hdf5;
 pub mod input;
+mod input_buffer;
 pub mod intact;
 mod lz4_frame;
 pub mod mat;
@@ -50,6 +55,7 @@ pub mod text_layout;
 mod text_writer;
 mod time_unit;
 mod unpack;
+mod utf16;
 mod wrapping;
 mod zip_entry;
 
@@ -128,6 +134,12 @@ pub trait EventReader: Send {
     fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
         let _ = t_us;
         Ok(false)
+    }
+
+    /// Leaves out and counts the events that cannot be ones, from here on, instead of ending with an error;
+    /// false where the reader knows no such events, or was told when it was opened.
+    fn leave_out_bad_events(&mut self) -> bool {
+        false
     }
 
     /// What it means that [`EventReader::read`] gave no events: the end, but for a live source.

@@ -13,7 +13,7 @@
 //! for an event; the data sets' own recordings have none.
 //!
 //! The size is the caller's, as the file has none; without it a first pass decides: N-MNIST's 34 x 34 where every
-//! event fits, as not every digit reaches the border; else the largest x and y, plus one, as in `eventvision.py`. Nothing marks the format but the name's ending. There is no index, and a time is the
+//! event fits, as not every digit reaches the border, and where there is none; else the largest x and y, plus one, as in `eventvision.py`. Nothing marks the format but the name's ending. There is no index, and a time is the
 //! sum of what stands before it, so that the reader does not seek.
 
 use std::path::Path;
@@ -68,7 +68,7 @@ impl NmnistReader {
     /// Reads `source`, which messages call `name`; without a `size`, all of it is read for the largest one.
     ///
     /// # Errors
-    /// I/O; no size, and no event to find one by.
+    /// I/O.
     pub fn new(
         source: Box<dyn ReadSeek>,
         name: &str,
@@ -102,11 +102,10 @@ fn largest(input: &mut Input) -> anyhow::Result<Sensor> {
         }
     }
     input.seek(0)?;
-    if width > 0 && width <= SIDE && height <= SIDE {
+    if width <= SIDE && height <= SIDE {
         (width, height) = (SIDE, SIDE);
     }
-    Sensor::new(width, height)
-        .ok_or_else(|| input.error_at(0, "no event, so no sensor size: give --width W --height H"))
+    Sensor::new(width, height).ok_or_else(|| input.error_at(0, "damaged file"))
 }
 
 /// State between two records.
@@ -133,6 +132,11 @@ impl Decode for NmnistDecoder {
         &self.skipped
     }
 
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.input.leave_out_bad_events();
+        true
+    }
+
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
         while batch.room() > 0 {
             let Some([x, y, high, middle, low]) = self.words.next(&mut self.input)? else {
@@ -152,8 +156,11 @@ impl Decode for NmnistDecoder {
             };
             if !self.sensor.contains(event.x, event.y) {
                 let offset = self.words.offset(&self.input);
-                let (x, y) = (x.into(), y.into());
-                return Err(self.input.outside(offset, self.events, x, y, self.sensor));
+                let (pixel, skipped) = ((x.into(), y.into()), &mut self.skipped);
+                self.input
+                    .outside(offset, self.events, pixel, self.sensor, skipped)?;
+                self.events += 1;
+                continue;
             }
             batch.push(event);
             self.events += 1;
@@ -268,13 +275,13 @@ mod tests {
             error.contains("byte 5") && error.contains("truncated"),
             "{error}"
         );
-        let nothing = NmnistReader::new(Box::new(Cursor::new(vec![0, 240, 0, 0, 0])), "test", None);
+        let (nowhere, nothing, _) = read(&[0, 240, 0, 0, 0], None);
+        assert_eq!((nowhere, nothing.len()), (Sensor::new(34, 34).unwrap(), 0));
         let few = [[3, 4, 0x80, 1, 2], [0, 33, 0, 0, 0]];
         assert_eq!(
             read(few.as_flattened(), None).0,
             Sensor::new(34, 34).unwrap()
         );
-        assert!(nothing.err().unwrap().to_string().contains("--width"));
     }
 
     #[test]

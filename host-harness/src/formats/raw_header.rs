@@ -71,7 +71,7 @@ pub struct RawHeader {
     /// Word format, from `% evt 3.0` or `% format EVT3;...`, or the name of another one.
     pub words: Result<Words, String>,
     /// From `% geometry WxH`, `% format EVT3;height=H;width=W`, `% Width W` and `% Height H`, or
-    /// else from the sensor that `% sensor_generation` or `% plugin_name` name.
+    /// else from the sensor that `% sensor_generation`, `% plugin_name` or `% system_ID` name.
     pub sensor: Option<Sensor>,
     /// From `% time_base_us`, else 0.
     pub time_base_us: u64,
@@ -208,6 +208,16 @@ fn header_text(line: &[u8]) -> Option<&str> {
     (printable && (text.is_empty() || text.starts_with(' '))).then(|| text.trim_start())
 }
 
+/// The sensor's size of a camera system, by Prophesee's numbers; cameras of others, such as CenturyArks', have them
+/// too. The first of them wrote no geometry.
+fn size_of_system(number: &str) -> Option<(u64, u64)> {
+    match number.parse::<u32>().ok()? {
+        21 | 23 | 25 | 28 | 29 | 33 | 35 => Some((640, 480)),
+        26 | 30 | 46 | 49 => Some((1280, 720)),
+        _ => None,
+    }
+}
+
 #[derive(Default)]
 struct Fields {
     evt: Option<String>,
@@ -215,6 +225,8 @@ struct Fields {
     width: Option<u64>,
     height: Option<u64>,
     named: Option<(u64, u64)>,
+    /// From the number of the camera's system, which says less than a sensor's name.
+    by_system: Option<(u64, u64)>,
     plugin: Option<String>,
     integrator: Option<String>,
     time_base_us: u64,
@@ -251,6 +263,7 @@ impl Fields {
                     _ => self.named,
                 };
             }
+            "system_id" => self.by_system = size_of_system(value),
             "integrator_name" => self.integrator = Some(value.to_owned()),
             "plugin_name" => {
                 self.plugin = Some(value.to_owned());
@@ -294,7 +307,11 @@ impl Fields {
             }
             (None, None) => Err(String::new()),
         };
-        let size = self.width.zip(self.height).or(self.named);
+        let size = self
+            .width
+            .zip(self.height)
+            .or(self.named)
+            .or(self.by_system);
         let side = |side: u64| u16::try_from(side).unwrap_or(0);
         let sensor = size.map(|(width, height)| {
             Sensor::new(side(width), side(height)).ok_or_else(|| {
@@ -337,7 +354,12 @@ mod tests {
 
     #[test]
     fn sizes_of_every_style() {
-        let cases: [(&[u8], Words, (u16, u16)); 8] = [
+        let cases: [(&[u8], Words, (u16, u16)); 9] = [
+            (
+                b"% evt 2.0\n% plugin_name silky_common_plugin\n% system_ID 28\n",
+                Words::Evt2,
+                (640, 480),
+            ),
             (
                 b"% evt 3.0\n% geometry 320x240\n% end\n",
                 Words::Evt3,

@@ -22,6 +22,8 @@ pub struct Outside {
     pub x: u32,
     /// Its row.
     pub y: u16,
+    /// Bits of the vector that come behind it.
+    pub left: u32,
 }
 
 impl Row {
@@ -50,7 +52,7 @@ impl Row {
                     y,
                     polarity,
                 }),
-                _ => return Err(Outside { x, y }),
+                _ => return Err(Outside { x, y, left }),
             }
             *events += 1;
         }

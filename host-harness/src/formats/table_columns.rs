@@ -4,7 +4,8 @@ use eecvs_nostd::{Event, Sensor};
 
 use super::event_numbers::{self, Row, SAMPLE_TIMES, T, TimeUnit};
 use super::npy_header::{Dtype, Number};
-use super::text_layout::{Header, Unit};
+use super::reading;
+use super::text_layout::Header;
 use super::time_unit::TimeSample;
 
 /// How a column's values are stored.
@@ -64,10 +65,7 @@ impl Columns {
             })?;
         }
         let time = schema.get(layout.t);
-        let named = match layout.unit {
-            Unit::Shift(shift) => Some(shift),
-            Unit::Whole => None,
-        };
+        let named = layout.unit.map(reading::TimeUnit::shift);
         let is_float = matches!(stored[T], Stored::Number(dtype) if dtype.is_float());
         let shift = time.and_then(|time| time.shift).or(named);
         let sensor = header.sensor.and_then(|(width, height)| {

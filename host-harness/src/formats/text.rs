@@ -3,33 +3,36 @@
 //! Rules, in the order in which they are applied:
 //!
 //! 1. Lines end with LF or CRLF; empty lines and lines that begin with `#` or `%` are skipped and
-//!    counted as comments. A byte-order mark is skipped.
-//! 2. Fields are separated by commas, semicolons, tabs or spaces, any number of them.
+//!    counted as comments. A byte-order mark is skipped; UTF-16 with one is read, as `utf16.rs` says.
+//! 2. Fields are separated by commas, semicolons, tabs or spaces, any number of them; quotes around a field are
+//!    left out. Decimal commas are refused.
 //! 3. A first line of two whole numbers is the sensor's width and height (the RPG data set).
-//! 4. A line whose fields are not numbers names the columns: t (ts, time, timestamp; `_s`, `_ms`,
-//!    `_us`, `_ns` name the unit), x, y, p (pol, polarity, on), in any order, other columns are
-//!    ignored. `x@320` and `y@240` give the size. A comment of such names counts as well.
-//! 5. Without names the order is the first of `t x y p`, `x y t p`, `x y p t`, `t p x y`,
-//!    `p t x y`, `p x y t` that fits the first 1,000 lines: see [`Layout::detect`].
-//! 6. Times without a fraction are microseconds. Where most of the first 1,000 times are written
-//!    as decimals, they are seconds, unless all of them are whole and many or large: then they are whole microseconds in a float column.
-//!    Decimals are parsed exactly and rounded to the nearest microsecond.
-//! 7. p is 1, true or on, or else 0, -1, false or off.
+//! 4. A line whose fields are not numbers names the columns: t (ts, time, timestamp; `_us`, `(us)`, `[us]` and the
+//!    like name the unit), x, y, p (pol, polarity, on), in any order, other columns and those without a name are
+//!    ignored. `x@320` and `y@240` give the size. A comment of as many names as the first event has fields counts
+//!    as well. The caller's columns, by places or names, count more.
+//! 5. Without names the order is the one of `t x y p`, `x y t p`, `x y p t`, `t p x y`, `p t x y`, `p x y t` that
+//!    fits the first 4,096 lines: see [`Layout::from_numbers`]. Where several fit, the reader asks.
+//! 6. The time's unit is the caller's, or the name's; else it is found as `time_unit.rs` says, and said. Decimals
+//!    are parsed exactly and rounded to the nearest microsecond. The caller's offset is added.
+//! 7. p is 1, true or on, or else 0, -1, false or off; a file that has 0 as well as -1 is refused.
 //! 8. Where neither the file nor the caller knows the size, a first pass over the file finds the
 //!    largest x and y, and the size is these plus one.
+//! 9. A line that is no event ends the recording with an error, or is left out and counted by its cause.
 //!
-//! Parsing is our own: the formats have no quoting, and no CSV crate converts decimals to
-//! microseconds without a float.
+//! Parsing is our own: no CSV crate converts decimals to microseconds without a float.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
-use super::Skipped;
 use super::decimal::Decimal;
 use super::format::{self, Format, Limits, Opening};
-use super::input::{Batch, Decode, Input, ReadSeek, Reader};
+use super::input::{Batch, Decode, Input, OUTSIDE, ReadSeek, Reader};
+use super::reading::{Columns, Reading, TimeUnit};
 pub use super::text_layout::Layout;
-use super::text_layout::{Header, Unit, polarity};
+use super::text_layout::{Found, Header, polarity, times_of};
 use super::text_writer::TextWriter;
+use super::utf16::{Utf16, is_utf16};
+use super::{Assumption, BadEvents, Skipped, time_unit};
 
 /// Longest line.
 const LINE_MAX: usize = 4096;
@@ -38,7 +41,7 @@ const LINE_MAX: usize = 4096;
 const FIELDS_MAX: usize = 32;
 
 /// Event lines that the layout is found from.
-const SAMPLE_LINES: usize = 1000;
+const SAMPLE_LINES: usize = time_unit::SAMPLE_TIMES;
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -51,7 +54,7 @@ pub const FORMAT: Format = Format {
                name,
                reading,
                ..
-           }| Ok(Box::new(TextReader::new(source, name, reading.size)?)),
+           }| Ok(Box::new(TextReader::new(source, name, reading)?)),
     has_places: false,
     grows: true,
     limits: Limits::NONE,
@@ -71,6 +74,9 @@ fn is_text(start: &format::Start) -> bool {
         // Words that no reader knows.
         return false;
     }
+    if is_utf16(start.bytes) {
+        return true;
+    }
     let first = start.bytes.split(|byte| *byte == b'\n').next();
     let first = first.unwrap_or_default();
     let control = |byte: &u8| byte.is_ascii_control() && !b"\t\r".contains(byte);
@@ -82,17 +88,26 @@ fn is_text(start: &format::Start) -> bool {
 pub type TextReader = Reader<TextDecoder>;
 
 impl TextReader {
-    /// Reads `source`, which messages call `name`; `size` counts where the file names no size.
+    /// Reads `source`, which messages call `name`; the size of `reading` counts where the file names no size.
     ///
     /// # Errors
-    /// Columns that cannot be told apart, a damaged first line, no size and no event.
+    /// Columns or a unit that cannot be told, a damaged first line, no size and no event.
     pub fn new(
         source: Box<dyn ReadSeek>,
         name: &str,
-        size: Option<Sensor>,
+        reading: impl Into<Reading>,
     ) -> anyhow::Result<Self> {
-        let mut lines = Lines::new(Input::new(source, name)?);
-        let start = Start::read(&mut lines)?;
+        let reading = reading.into();
+        let mut input = Input::new(source, name)?;
+        let mut mark = [0; 4];
+        input.fill(&mut mark)?;
+        input.seek(0)?;
+        if is_utf16(&mark) {
+            let [first, ..] = mark;
+            input = Input::new(Box::new(Utf16::new(input.into_source(), first)), name)?;
+        }
+        let mut lines = Lines::new(input);
+        let start = Start::read(&mut lines, &reading)?;
         let stated = match start.size {
             Some((width, height)) => {
                 let side = |side| u16::try_from(side).unwrap_or(0);
@@ -101,15 +116,56 @@ impl TextReader {
                     lines.error(format!("sensor size {width}x{height} is out of range"))
                 })?)
             }
-            None => size,
+            None => reading.size,
         };
         let fields: Vec<Vec<&[u8]>> = start.sample.iter().map(|line| split(line)).collect();
-        let layout = Layout::detect(start.header.as_ref(), &fields, stated)
-            .map_err(|what| lines.input.error_at(start.data, what))?;
+        let wrong = |what: String| {
+            let what = format!("line {}: {what}", start.data_line);
+            lines.input.error_at(start.data, what)
+        };
+        let Found { layout, why } = match &start.layout {
+            Some(layout) => Found {
+                layout: layout.clone(),
+                why: None,
+            },
+            None => Layout::from_numbers(&fields, stated).map_err(|what| wrong(what.to_owned()))?,
+        };
+        let mut assumptions = Vec::new();
+        if let Some(why) = why {
+            assumptions.push(Assumption {
+                what: "columns",
+                taken: layout.title(),
+                why: format!("{why}; --columns says otherwise"),
+            });
+        }
+        let (times, whole) = times_of(&fields, layout.t);
+        let mut has_whole_times = false;
+        let unit = match reading.time_unit.or(layout.unit) {
+            Some(unit) => unit,
+            None => {
+                let taken = time_unit::unstated(&times, whole).map_err(wrong)?;
+                has_whole_times = whole && taken.unit == TimeUnit::Us;
+                if !times.is_empty() {
+                    assumptions.push(Assumption {
+                        what: "time unit",
+                        taken: taken.unit.name().to_owned(),
+                        why: taken.why,
+                    });
+                }
+                taken.unit
+            }
+        };
+        let polarities = Polarities::of(&fields, layout.p);
         lines.restart(&start)?;
         let mut decoder = TextDecoder {
             lines,
             layout,
+            unit,
+            has_whole_times,
+            offset_us: reading.time_offset_us,
+            leaves_out: reading.bad_events == BadEvents::LeaveOut,
+            polarities,
+            assumptions,
             sensor: LARGEST,
             events: 0,
             skipped: start.skipped.clone(),
@@ -119,11 +175,45 @@ impl TextReader {
             None => {
                 let sensor = decoder.largest()?;
                 decoder.skipped = start.skipped.clone();
+                decoder.polarities = polarities;
                 decoder.lines.restart(&start)?;
                 sensor
             }
         };
         Ok(Self::around(decoder))
+    }
+}
+
+/// Which values of OFF a file has.
+#[derive(Debug, Clone, Copy, Default)]
+struct Polarities {
+    zero: bool,
+    minus: bool,
+    /// Whether the first lines have 0 beside 1 and -1: no change, in CeleX's files.
+    third: bool,
+}
+
+impl Polarities {
+    fn of(lines: &[Vec<&[u8]>], column: usize) -> Self {
+        let has = |value: &[u8]| {
+            let mut fields = lines.iter().filter_map(|line| line.get(column));
+            fields.any(|field| *field == value)
+        };
+        Self {
+            third: has(b"0") && has(b"-1"),
+            ..Self::default()
+        }
+    }
+
+    /// Takes the polarity of an event; whether it is one of two.
+    fn takes(&mut self, field: &[u8]) -> bool {
+        match field {
+            b"0" if self.third => return false,
+            b"0" => self.zero = true,
+            b"-1" => self.minus = true,
+            _ => {}
+        }
+        !(self.zero && self.minus)
     }
 }
 
@@ -190,7 +280,8 @@ impl Lines {
 /// What the start of a file tells.
 struct Start {
     size: Option<(u64, u64)>,
-    header: Option<Header>,
+    /// From names of columns, or from the caller.
+    layout: Option<Layout>,
     /// The first event lines.
     sample: Vec<Vec<u8>>,
     /// Offset and number of the first event line.
@@ -200,15 +291,22 @@ struct Start {
 }
 
 impl Start {
-    fn read(lines: &mut Lines) -> anyhow::Result<Self> {
+    fn read(lines: &mut Lines, reading: &Reading) -> anyhow::Result<Self> {
+        let columns = reading.columns.as_ref();
         let mut start = Self {
             size: None,
-            header: None,
+            layout: columns.and_then(Layout::of_places),
             sample: Vec::new(),
             data: 0,
             data_line: 1,
             skipped: Skipped::default(),
         };
+        let parse = |fields: &[&[u8]]| match columns {
+            Some(Columns::Names(names)) => Header::of_names(fields, names),
+            _ => Header::parse(fields),
+        };
+        let mut comment: Option<Header> = None;
+        let mut has_names = false;
         while start.sample.len() < SAMPLE_LINES {
             match lines.advance() {
                 Ok(true) => {}
@@ -217,19 +315,19 @@ impl Start {
                 Err(_) if !start.sample.is_empty() => break,
                 Err(error) => return Err(error),
             }
-            let first_event = start.sample.is_empty();
+            let is_before = start.sample.is_empty();
             if lines.is_comment() {
-                if first_event {
+                if is_before {
                     let text = lines.line.trim_ascii_start().get(1..).unwrap_or_default();
-                    start.header = start.header.take().or_else(|| Header::parse(&split(text)));
+                    comment = comment.or_else(|| parse(&names(text)));
                     start
                         .skipped
                         .add("comment lines", u64::from(!lines.line.is_empty()));
                 }
                 continue;
             }
-            let fields = split(&lines.line);
-            if first_event {
+            if is_before {
+                let fields = split(&lines.line);
                 let numbers: Vec<_> = fields.iter().map(|field| Decimal::parse(field)).collect();
                 if let ([Some(width), Some(height)], None) = (numbers.as_slice(), start.size) {
                     start.size = width.whole().zip(height.whole());
@@ -237,14 +335,37 @@ impl Start {
                         continue;
                     }
                 }
-                if numbers.iter().all(Option::is_none) || numbers.len() > 4 {
-                    if let Some(header) = Header::parse(&fields) {
-                        start.header = Some(header);
-                        continue;
+                if numbers.iter().all(Option::is_none) && !has_names {
+                    has_names = true;
+                    if let Some(header) = parse(&names(&lines.line)) {
+                        start.take(&header);
+                    } else if start.layout.is_none() {
+                        return Err(lines.error(match columns {
+                            Some(_) => "these are not the column names of --columns",
+                            None => {
+                                "no events and no column names t, x, y, p: name the columns by --columns"
+                            }
+                        }));
                     }
-                    if start.header.is_none() {
-                        return Err(lines.error("no events and no column names t, x, y, p"));
-                    }
+                    continue;
+                }
+                if fields.iter().take(2).any(|field| field.contains(&b':')) {
+                    let what = "a date or a time of day: write times as numbers, such as seconds since 1970";
+                    return Err(lines.error(what));
+                }
+                if has_decimal_comma(&lines.line) {
+                    let what =
+                        "a comma within a field, as of numbers with a decimal comma: write points";
+                    return Err(lines.error(what));
+                }
+                // Words of a comment may happen to be names.
+                if let Some(header) = &comment
+                    && header.layout().columns == fields.len()
+                {
+                    start.take(header);
+                }
+                if start.layout.is_none() && matches!(columns, Some(Columns::Names(_))) {
+                    return Err(lines.error("no line before has the column names of --columns"));
                 }
                 (start.data, start.data_line) = (lines.offset, lines.number);
             }
@@ -252,30 +373,106 @@ impl Start {
         }
         if start.sample.is_empty() {
             (start.data, start.data_line) = (lines.input.offset(), lines.number);
+            if let Some(header) = &comment {
+                start.take(header);
+            }
         }
-        start.size = start
-            .size
-            .or(start.header.as_ref().and_then(|header| header.sensor));
         Ok(start)
+    }
+
+    /// Takes what column names tell that is not known yet.
+    fn take(&mut self, header: &Header) {
+        self.layout = self.layout.take().or_else(|| Some(header.layout().clone()));
+        self.size = self.size.or(header.sensor);
+    }
+}
+
+const fn is_separator(byte: u8) -> bool {
+    matches!(byte, b' ' | b'\t' | b',' | b';')
+}
+
+/// A field without the quotes around it.
+fn unquoted(field: &[u8]) -> &[u8] {
+    match field {
+        [b'"', inner @ .., b'"'] => inner,
+        field => field,
     }
 }
 
 /// Fields of a line.
 fn split(line: &[u8]) -> Vec<&[u8]> {
-    let separator = |byte: &u8| matches!(byte, b' ' | b'\t' | b',' | b';');
-    line.split(separator)
+    line.split(|byte| is_separator(*byte))
         .filter(|field| !field.is_empty())
         .take(FIELDS_MAX)
+        .map(unquoted)
         .collect()
+}
+
+/// Column names of a line; between commas, semicolons or tabs one may be empty, or of several words.
+fn names(line: &[u8]) -> Vec<&[u8]> {
+    let separator = [b',', b';', b'\t']
+        .into_iter()
+        .find(|byte| line.contains(byte));
+    match separator {
+        Some(separator) => {
+            let names = line.split(|byte| *byte == separator);
+            names.take(FIELDS_MAX).collect()
+        }
+        None => split(line),
+    }
+}
+
+/// Whether a comma stands between two digits in a line of another separator.
+fn has_decimal_comma(line: &[u8]) -> bool {
+    let is_decimal = line.windows(3).any(|letters| {
+        matches!(letters, [before, b',', after] if before.is_ascii_digit() && after.is_ascii_digit())
+    });
+    // A space beside a comma only pads.
+    let separates = |letters: &[u8]| matches!(letters, [before, b' ', after] if !is_separator(*before) && !is_separator(*after));
+    let others = line.contains(&b';') || line.contains(&b'\t') || line.windows(3).any(separates);
+    is_decimal && others
 }
 
 /// State between two lines.
 pub struct TextDecoder {
     lines: Lines,
     layout: Layout,
+    unit: TimeUnit,
+    /// Whether the unit rests on times without a fraction.
+    has_whole_times: bool,
+    offset_us: i64,
+    leaves_out: bool,
+    polarities: Polarities,
+    assumptions: Vec<Assumption>,
     sensor: Sensor,
     events: u64,
     skipped: Skipped,
+}
+
+/// Why a line is no event: what it is counted as, and what is said.
+enum Bad {
+    Fields(usize),
+    NoTime,
+    Fraction,
+    TimeRange,
+    NoPixel,
+    NoPolarity,
+    ThirdPolarity,
+    Outside(u64, u64),
+}
+
+impl Bad {
+    const fn kind(&self) -> &'static str {
+        match self {
+            Self::Fields(_) => "lines of another number of fields",
+            Self::NoTime | Self::NoPixel => "events with a value that is no number",
+            Self::Fraction => "events with a time of another unit",
+            Self::TimeRange => "events before time 0",
+            Self::NoPolarity => "events of no polarity",
+            Self::ThirdPolarity => "events of a third polarity",
+            Self::Outside(..) => OUTSIDE,
+        }
+    }
 }
 
 impl TextDecoder {
@@ -286,6 +483,10 @@ impl TextDecoder {
         while let Ok(Some(event)) = self.next_event() {
             width = width.max(event.x + 1);
             height = height.max(event.y + 1);
+        }
+        if width == 0 && !self.lines.line.is_empty() {
+            // Its first line is no event.
+            self.parse().map_err(|bad| self.refusal(&bad))?;
         }
         self.events = 0;
         Sensor::new(width, height).ok_or_else(|| {
@@ -299,23 +500,57 @@ impl TextDecoder {
             if !self.lines.advance()? {
                 return Ok(None);
             }
-            if !self.lines.is_comment() {
-                break;
+            if self.lines.is_comment() {
+                self.skipped
+                    .add("comment lines", u64::from(!self.lines.line.is_empty()));
+                continue;
             }
-            self.skipped
-                .add("comment lines", u64::from(!self.lines.line.is_empty()));
+            let event = self.parse();
+            match event {
+                Ok(event) => {
+                    self.events += 1;
+                    return Ok(Some(event));
+                }
+                Err(bad) if self.leaves_out => {
+                    self.events += 1;
+                    self.skipped.add(bad.kind(), 1);
+                }
+                Err(bad) => return Err(self.refusal(&bad)),
+            }
         }
-        let event = self.parse()?;
-        self.events += 1;
-        Ok(Some(event))
     }
 
-    fn parse(&self) -> anyhow::Result<Event> {
+    /// What is wrong with the present line.
+    fn refusal(&self, bad: &Bad) -> anyhow::Error {
+        let what = match bad {
+            Bad::Fields(count) => format!("{count} fields instead of {}", self.layout.columns),
+            Bad::NoTime => "the time is no number".to_owned(),
+            Bad::Fraction => "a time with a fraction after whole microseconds: give --time-unit, or name the column \
+                              t_s or t_us"
+                .to_owned(),
+            Bad::TimeRange => {
+                "the time is negative or above 2^63 us: see --time-offset-us".to_owned()
+            }
+            Bad::NoPixel => "x and y must be whole numbers that are not negative".to_owned(),
+            Bad::NoPolarity => "the polarity is not one of 0, 1, -1, true, false".to_owned(),
+            Bad::ThirdPolarity => {
+                "the polarities are 0 as well as -1: more than two; --leave-out-bad-events leaves the third out"
+                    .to_owned()
+            }
+            Bad::Outside(x, y) => {
+                let Sensor { width, height } = self.sensor;
+                format!("x = {x}, y = {y} is outside of the sensor ({width}x{height})")
+            }
+        };
+        self.lines.error(format!("event {}: {what}", self.events))
+    }
+
+    fn parse(&mut self) -> Result<Event, Bad> {
         let line = self.lines.line.as_slice();
         let mut fields = [&line[..0]; FIELDS_MAX];
         let mut count = 0;
-        let separator = |byte: &u8| matches!(byte, b' ' | b'\t' | b',' | b';');
-        for field in line.split(separator).filter(|field| !field.is_empty()) {
+        let parts = line.split(|byte| is_separator(*byte));
+        for field in parts.filter(|field| !field.is_empty()) {
             match fields.get_mut(count) {
                 Some(slot) => *slot = field,
                 None => break,
@@ -328,46 +563,39 @@ impl TextDecoder {
             x,
             y,
             p,
-            unit,
+            ..
         } = self.layout;
-        let wrong = |what: &str| self.lines.error(format!("event {}: {what}", self.events));
         if count != columns {
-            return Err(wrong(&format!("{count} fields instead of {columns}")));
+            return Err(Bad::Fields(count));
         }
-        let field = |column: usize| fields.get(column).copied().unwrap_or_default();
+        let field = |column: usize| unquoted(fields.get(column).copied().unwrap_or_default());
         let (t, p) = (field(t), field(p));
-        let time = Decimal::parse(t).ok_or_else(|| wrong("the time is no number"))?;
-        let shift = match unit {
-            Unit::Shift(shift) => shift,
-            Unit::Whole if time.is_whole() => 0,
-            Unit::Whole => {
-                return Err(wrong(
-                    "a time with a fraction after whole microseconds: name the column t_s or t_us",
-                ));
-            }
-        };
+        let time = Decimal::parse(t).ok_or(Bad::NoTime)?;
+        if self.has_whole_times && !time.is_whole() {
+            return Err(Bad::Fraction);
+        }
         let t_us = time
-            .scaled(shift)
-            .map_err(|_| wrong("the time is negative or above 2^63 us"))?;
+            .signed(self.unit.shift())
+            .ok()
+            .and_then(|t_us| t_us.checked_add(self.offset_us))
+            .and_then(|t_us| u64::try_from(t_us).ok())
+            .ok_or(Bad::TimeRange)?;
         let side = |field: &[u8]| Decimal::parse(field).and_then(Decimal::whole);
         let (Some(x), Some(y)) = (side(field(x)), side(field(y))) else {
-            return Err(wrong("x and y must be whole numbers that are not negative"));
+            return Err(Bad::NoPixel);
         };
-        let polarity =
-            polarity(p).ok_or_else(|| wrong("the polarity is not one of 0, 1, -1, true, false"))?;
+        let on = polarity(p).ok_or(Bad::NoPolarity)?;
+        if !self.polarities.takes(p) {
+            return Err(Bad::ThirdPolarity);
+        }
         match (u16::try_from(x), u16::try_from(y)) {
             (Ok(x), Ok(y)) if self.sensor.contains(x, y) => Ok(Event {
                 t_us,
                 x,
                 y,
-                polarity: Polarity::from_bool(polarity),
+                polarity: Polarity::from_bool(on),
             }),
-            _ => {
-                let Sensor { width, height } = self.sensor;
-                Err(wrong(&format!(
-                    "x = {x}, y = {y} is outside of the sensor ({width}x{height})"
-                )))
-            }
+            _ => Err(Bad::Outside(x, y)),
         }
     }
 }
@@ -379,6 +607,10 @@ impl Decode for TextDecoder {
 
     fn sensor(&self) -> Sensor {
         self.sensor
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.assumptions
     }
 
     fn skipped(&self) -> &Skipped {
@@ -490,8 +722,8 @@ mod tests {
             ),
             ("t,x,y,p\n1,2,3,1\n4,2,-3,1\n", "line 3: event 1: x and y"),
             (
-                "4 4\n1 2 3 1\n2 4 0 1\n",
-                "line 3: event 1: x = 4, y = 0 is outside",
+                "4 4\n# t x y p\n1 2 3 1\n2 4 0 1\n",
+                "line 4: event 1: x = 4, y = 0 is outside",
             ),
             (
                 "t,x,y,p\n1,2,3,1\n1,2,3,1\n1.5,2,3,1\n",

@@ -1,12 +1,10 @@
-//! Which column of a text file is what: from its header line, or from its first lines.
+//! Which column of a text file is what: from the caller, from its header line, or from its first lines.
 
 use eecvs_nostd::Sensor;
 
 use super::decimal::Decimal;
-use super::time_unit::TimeSample;
-
-/// Fewest lines whose times must rise before that speaks for an order of columns.
-const RISING_LINES: usize = 16;
+use super::reading::{Columns, TimeUnit};
+use super::time_unit;
 
 /// Column orders tried on files without a header, the likeliest first.
 const ORDERS: [[Field; 4]; 6] = {
@@ -29,19 +27,10 @@ enum Field {
     P,
 }
 
-/// Unit of the time column.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Unit {
-    /// The column's name or its fractions tell: the value times 10^n is in microseconds.
-    Shift(i32),
-    /// Whole numbers so far: microseconds.
-    Whole,
-}
-
-/// Columns of a file, counted from 0, and the time's unit.
+/// Columns of a file, counted from 0.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Layout {
-    /// Fields of a line; further ones are an error.
+    /// Fields of a line; another number is an error.
     pub columns: usize,
     /// Column of the time.
     pub t: usize,
@@ -51,8 +40,8 @@ pub struct Layout {
     pub y: usize,
     /// Column of the polarity.
     pub p: usize,
-    /// Unit of the time.
-    pub unit: Unit,
+    /// Unit of the time, where a column's name tells it.
+    pub unit: Option<TimeUnit>,
 }
 
 /// A header line's column names.
@@ -64,19 +53,20 @@ pub struct Header {
 }
 
 impl Header {
-    /// Parses column names; `None` where t, x, y and p are not all among them exactly once.
+    /// Parses column names; `None` where t, x, y and p are not all among them exactly once. A name may be in
+    /// quotes, and tell a unit: `t_us`, `timestamp (us)`, `x [px]`.
     pub fn parse(fields: &[&[u8]]) -> Option<Self> {
         let (mut t, mut x, mut y, mut p) = (None, None, None, None);
         let (mut width, mut height) = (None, None);
-        let mut unit = Unit::Whole;
+        let mut unit = None;
         for (column, field) in fields.iter().enumerate() {
-            let text = std::str::from_utf8(field).ok()?.trim_matches(['"', '\'']);
-            let name = text.to_ascii_lowercase();
-            let (name, side) = match name.split_once('@') {
+            let text = plain_name(field)?;
+            let (name, side) = match text.split_once('@') {
                 Some((name, side)) => (name, side.parse::<u64>().ok()),
-                None => (name.as_str(), None),
+                None => (text.as_str(), None),
             };
-            let slot = match name {
+            let (stem, named_unit) = stem(name);
+            let slot = match stem {
                 "x" | "xs" | "col" | "column" | "x_px" => {
                     width = side;
                     &mut x
@@ -86,17 +76,11 @@ impl Header {
                     &mut y
                 }
                 "p" | "ps" | "pol" | "polarity" | "polarities" | "on" => &mut p,
-                _ => {
-                    let (stem, shift) = time_name(name);
-                    if !matches!(
-                        stem,
-                        "t" | "ts" | "time" | "times" | "timestamp" | "timestamps"
-                    ) {
-                        continue;
-                    }
-                    unit = shift.map_or(Unit::Whole, Unit::Shift);
+                "t" | "ts" | "time" | "times" | "timestamp" | "timestamps" => {
+                    unit = named_unit;
                     &mut t
                 }
+                _ => continue,
             };
             if slot.replace(column).is_some() {
                 return None;
@@ -116,26 +100,63 @@ impl Header {
         })
     }
 
+    /// The columns that `names` names, in a line of column names; `None` where one is missing or there twice.
+    pub fn of_names(fields: &[&[u8]], names: &[String; 4]) -> Option<Self> {
+        let all: Vec<String> = fields
+            .iter()
+            .map(|field| plain_name(field))
+            .collect::<Option<_>>()?;
+        let mut places = [0; 4];
+        for (place, name) in places.iter_mut().zip(names) {
+            let name = name.trim().to_lowercase();
+            let mut found = (0..all.len()).filter(|column| all.get(*column) == Some(&name));
+            *place = found.next()?;
+            if found.next().is_some() {
+                return None;
+            }
+        }
+        let [t, x, y, p] = places;
+        let unit = all.get(t).and_then(|name| stem(name).1);
+        let layout = Layout {
+            columns: fields.len(),
+            t,
+            x,
+            y,
+            p,
+            unit,
+        };
+        Some(Self {
+            layout,
+            sensor: None,
+        })
+    }
+
     /// Where the columns are.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 }
 
-/// Stem of a time column's name and, where it names a unit, its shift to microseconds.
-fn time_name(name: &str) -> (&str, Option<i32>) {
-    let units = [
-        ("_us", 0),
-        ("_ms", 3),
-        ("_ns", -3),
-        ("_s", 6),
-        ("[us]", 0),
-        ("[s]", 6),
-    ];
-    for (ending, shift) in units {
-        if let Some(stem) = name.strip_suffix(ending) {
-            return (stem.trim_end(), Some(shift));
+/// A column's name without quotes and spaces around it, in small letters.
+fn plain_name(field: &[u8]) -> Option<String> {
+    let text = std::str::from_utf8(field).ok()?;
+    Some(text.trim().trim_matches(['"', '\'']).trim().to_lowercase())
+}
+
+/// What a column's name is without its unit, and the unit of time that it names.
+fn stem(name: &str) -> (&str, Option<TimeUnit>) {
+    for (open, close) in [('(', ')'), ('[', ']')] {
+        if let Some((stem, unit)) = name
+            .strip_suffix(close)
+            .and_then(|name| name.rsplit_once(open))
+        {
+            return (stem.trim_end_matches([' ', '_']), time_unit::named(unit));
         }
+    }
+    if let Some((stem, unit)) = name.rsplit_once(['_', ' '])
+        && let Some(unit) = time_unit::named(unit)
+    {
+        return (stem.trim_end(), Some(unit));
     }
     (name, None)
 }
@@ -162,88 +183,166 @@ pub fn polarity(field: &[u8]) -> Option<bool> {
     }
 }
 
+/// A layout that was found, and why it was taken; nothing where the file or the caller says it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Found {
+    /// The layout.
+    pub layout: Layout,
+    /// Why.
+    pub why: Option<&'static str>,
+}
+
 impl Layout {
-    /// Finds the layout from the header line, if there is one, and the first event lines.
+    /// The layout that the caller names by places.
+    pub fn of_places(columns: &Columns) -> Option<Self> {
+        match columns {
+            Columns::Places {
+                places: [t, x, y, p],
+                columns,
+            } => Some(Self {
+                columns: *columns,
+                t: *t,
+                x: *x,
+                y: *y,
+                p: *p,
+                unit: None,
+            }),
+            Columns::Names(_) => None,
+        }
+    }
+
+    /// The layout that a header tells, or else [`Layout::from_numbers`].
     ///
-    /// Without a header an order fits where every line has four numbers, p is a polarity, x and y
-    /// are whole numbers below the sensor's sides, and t is a number of which at least one has a
-    /// fraction if any number of the file has. The first order that fits counts, but one whose
-    /// times never fall beats it, where at least 16 lines with different times tell.
+    /// # Errors
+    /// As [`Layout::from_numbers`].
     pub fn detect(
         header: Option<&Header>,
         lines: &[Vec<&[u8]>],
         sensor: Option<Sensor>,
     ) -> Result<Self, &'static str> {
-        let mut layout = match header {
-            Some(header) => header.layout.clone(),
-            None => Self::from_numbers(lines, sensor)?,
-        };
-        if layout.unit == Unit::Whole {
-            layout.unit = unit_of(lines, layout.t);
+        match header {
+            Some(header) => Ok(header.layout.clone()),
+            None => Self::from_numbers(lines, sensor).map(|found| found.layout),
         }
-        Ok(layout)
     }
 
-    fn from_numbers(lines: &[Vec<&[u8]>], sensor: Option<Sensor>) -> Result<Self, &'static str> {
-        const UNCLEAR: &str = "the order of the columns is unclear: add a first line such as \
-                               t,x,y,p that names them";
-        // Damage further on must not decide: only lines that some order fits count. The reader
-        // will meet the damaged line.
+    /// Finds the layout from the first event lines of a file without names.
+    ///
+    /// An order fits where every line has four numbers, p is a polarity, x and y are whole numbers below the
+    /// sensor's sides, and t is the only one that has fractions. Where several fit, the one whose times alone
+    /// never fall, and do not stay the same, is taken. Lines may have further columns behind t x y p, as v2e
+    /// labels events, where t has fractions.
+    ///
+    /// # Errors
+    /// No order fits, or more than one.
+    pub fn from_numbers(
+        lines: &[Vec<&[u8]>],
+        sensor: Option<Sensor>,
+    ) -> Result<Found, &'static str> {
+        const UNCLEAR: &str = "the order of the columns is unclear: name it by --columns, such as --columns txyp, or \
+                               add a first line such as t,x,y,p";
+        const SEVERAL: &str = "more than one order of the columns fits: name it by --columns, such as --columns txyp \
+                               or xytp, or add a first line such as t,x,y,p";
+        let Some(first) = lines.first() else {
+            return Ok(Found {
+                layout: Self::of_order(&[Field::T, Field::X, Field::Y, Field::P], 4),
+                why: None,
+            });
+        };
+        let columns = first.len();
+        // Damage further on must not decide: lines that no order fits any more do not count. The reader
+        // will meet them.
         let mut orders: Vec<&[Field; 4]> = ORDERS.iter().collect();
-        let mut whole = lines;
+        if columns > 4 {
+            orders.truncate(1);
+        }
+        let mut fitting_lines = Vec::new();
         for (index, line) in lines.iter().enumerate() {
             let fitting: Vec<_> = orders
                 .iter()
-                .filter(|order| fits(order, line, sensor))
+                .filter(|order| line.len() == columns && fits(order, line, sensor))
                 .copied()
                 .collect();
             if fitting.is_empty() {
                 if index == 0 {
                     return Err(UNCLEAR);
                 }
-                whole = lines.get(..index).unwrap_or_default();
-                break;
+                continue;
             }
             orders = fitting;
+            fitting_lines.push(line);
         }
-        let lines = whole;
         let fraction = |column: usize| {
-            lines.iter().any(|line| {
+            fitting_lines.iter().any(|line| {
                 let number = line.get(column).and_then(|field| Decimal::parse(field));
                 number.is_some_and(|number| number.fractional && !number.is_whole())
             })
         };
         let fractions: Vec<usize> = (0..4).filter(|column| fraction(*column)).collect();
+        if columns > 4 && fractions.is_empty() {
+            return Err(UNCLEAR);
+        }
         let candidates: Vec<Self> = orders
             .into_iter()
-            .map(Self::of_order)
+            .map(|order| Self::of_order(order, columns))
             .filter(|layout| fractions.iter().all(|column| *column == layout.t))
             .collect();
-        let rising = candidates.iter().find(|layout| rises(lines, layout.t));
-        rising.or(candidates.first()).cloned().ok_or(UNCLEAR)
+        if let [layout] = candidates.as_slice() {
+            let why = match columns {
+                4 => "no names; no other order fits the first lines",
+                _ => "no names; further columns are left out, as v2e's labels",
+            };
+            return Ok(Found {
+                layout: layout.clone(),
+                why: Some(why),
+            });
+        }
+        let rising: Vec<&Self> = candidates
+            .iter()
+            .filter(|layout| rises(&fitting_lines, layout.t))
+            .collect();
+        match rising.as_slice() {
+            [layout] => Ok(Found {
+                layout: (*layout).clone(),
+                why: Some("no names; of the orders that fit, only its times never fall"),
+            }),
+            _ if candidates.is_empty() => Err(UNCLEAR),
+            _ => Err(SEVERAL),
+        }
     }
 
-    fn of_order(order: &[Field; 4]) -> Self {
+    fn of_order(order: &[Field; 4], columns: usize) -> Self {
         let column = |field| order.iter().position(|entry| *entry == field).unwrap_or(0);
-        let (t, x, y, p) = (
-            column(Field::T),
-            column(Field::X),
-            column(Field::Y),
-            column(Field::P),
-        );
         Self {
-            columns: 4,
-            t,
-            x,
-            y,
-            p,
-            unit: Unit::Whole,
+            columns,
+            t: column(Field::T),
+            x: column(Field::X),
+            y: column(Field::Y),
+            p: column(Field::P),
+            unit: None,
         }
+    }
+
+    /// Names of the columns in their order, `-` for one that is left out.
+    pub fn title(&self) -> String {
+        let names: Vec<&str> = (0..self.columns)
+            .map(|column| match column {
+                _ if column == self.t => "t",
+                _ if column == self.x => "x",
+                _ if column == self.y => "y",
+                _ if column == self.p => "p",
+                _ => "-",
+            })
+            .collect();
+        names.join(" ")
     }
 }
 
 fn fits(order: &[Field; 4], line: &[&[u8]], sensor: Option<Sensor>) -> bool {
-    line.len() == order.len()
+    line.len() >= order.len()
+        && line
+            .iter()
+            .all(|text| Decimal::parse(text).is_some() || polarity(text).is_some())
         && order.iter().zip(line).all(|(field, text)| match field {
             Field::P => polarity(text).is_some(),
             Field::T => Decimal::parse(text).is_some(),
@@ -259,21 +358,21 @@ fn fits(order: &[Field; 4], line: &[&[u8]], sensor: Option<Sensor>) -> bool {
         })
 }
 
-/// Whether the times in `column` never fall and differ, over enough lines to tell.
-fn rises(lines: &[Vec<&[u8]>], column: usize) -> bool {
+/// Whether the times in `column` never fall and differ.
+fn rises(lines: &[&Vec<&[u8]>], column: usize) -> bool {
     // The unit does not matter here, only the order of the numbers.
-    let times: Option<Vec<u64>> = lines
+    let times: Option<Vec<i64>> = lines
         .iter()
-        .map(|line| Decimal::parse(line.get(column)?)?.scaled(6).ok())
+        .map(|line| Decimal::parse(line.get(column)?)?.signed(6).ok())
         .collect();
-    times.is_some_and(|times| {
-        times.len() >= RISING_LINES && times.is_sorted() && times.first() != times.last()
-    })
+    times.is_some_and(|times| times.is_sorted() && times.first() != times.last())
 }
 
-fn unit_of(lines: &[Vec<&[u8]>], column: usize) -> Unit {
-    let mut sample = TimeSample::default();
+/// The first times as floats, and whether most of them are written as whole numbers: Python prints some seconds
+/// as 0, and damage must not decide.
+pub fn times_of(lines: &[Vec<&[u8]>], column: usize) -> (Vec<f64>, bool) {
     let mut fractional = 0;
+    let mut times = Vec::new();
     for field in lines.iter().filter_map(|line| line.get(column)) {
         let Some(number) = Decimal::parse(field) else {
             continue;
@@ -281,13 +380,8 @@ fn unit_of(lines: &[Vec<&[u8]>], column: usize) -> Unit {
         let value = std::str::from_utf8(field)
             .ok()
             .and_then(|text| text.parse().ok());
-        sample.add(number.is_whole(), value.unwrap_or(0.0));
+        times.push(value.unwrap_or(0.0));
         fractional += usize::from(number.fractional);
     }
-    // Most of them: Python prints some seconds as 0, and damage must not decide.
-    match (2 * fractional > lines.len(), sample.seconds()) {
-        (true, true) => Unit::Shift(6),
-        (true, false) => Unit::Shift(0),
-        (false, _) => Unit::Whole,
-    }
+    (times, 2 * fractional <= lines.len())
 }

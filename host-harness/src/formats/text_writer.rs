@@ -11,6 +11,9 @@ use super::{EventWriter, create_file};
 
 /// Writer of text files: `.csv` with the header `t,x,y,p` and commas, `.txt` with spaces and no
 /// header; times in whole microseconds, p 0 or 1. The sensor's size is not written.
+///
+/// Where the first event's numbers leave it open which of them is the time, `.txt` begins with the comment
+/// `# t x y p`. A recording without events has names that tell the size: `t,x@346,y@260,p`.
 pub struct TextWriter {
     file: BufWriter<File>,
     name: String,
@@ -25,13 +28,10 @@ impl TextWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
-        let (mut file, name) = create_file(path)?;
+        let (file, name) = create_file(path)?;
         let csv = path
             .extension()
             .is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
-        if csv {
-            writeln!(file, "t,x,y,p").with_context(|| format!("{name}: cannot be written"))?;
-        }
         Ok(Self {
             file,
             name,
@@ -42,9 +42,32 @@ impl TextWriter {
     }
 }
 
+impl TextWriter {
+    /// Writes what stands before the first event, or before the end where there is none.
+    fn begin(&mut self, first: Option<&Event>) -> anyhow::Result<()> {
+        let Sensor { width, height } = self.sensor;
+        let names = match (first, self.separator) {
+            (None, ',') => format!("t,x@{width},y@{height},p\n"),
+            (None, _) => format!("# t x@{width} y@{height} p\n"),
+            (Some(_), ',') => "t,x,y,p\n".to_owned(),
+            // A time below the largest side may be a column, a column below 2 a polarity.
+            (Some(first), _) if first.t_us < u64::from(Sensor::SIDE_MAX) || first.x < 2 => {
+                "# t x y p\n".to_owned()
+            }
+            _ => String::new(),
+        };
+        self.file
+            .write_all(names.as_bytes())
+            .with_context(|| format!("{}: cannot be written", self.name))
+    }
+}
+
 impl EventWriter for TextWriter {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         let s = self.separator;
+        if self.events == 0 && !events.is_empty() {
+            self.begin(events.first())?;
+        }
         for event in events {
             super::check_inside(&self.name, self.events, event, self.sensor)?;
             let Event {
@@ -66,6 +89,9 @@ impl EventWriter for TextWriter {
     }
 
     fn finish(mut self: Box<Self>) -> anyhow::Result<()> {
+        if self.events == 0 {
+            self.begin(None)?;
+        }
         self.file
             .flush()
             .with_context(|| format!("{}: cannot be written", self.name))

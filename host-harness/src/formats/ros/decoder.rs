@@ -2,6 +2,8 @@
 //!
 //! [`super::message_events`] says what their times are, `seek.rs` how one is found.
 
+use std::io::Read;
+
 use eecvs_nostd::Sensor;
 
 use super::fields::Serialisation;
@@ -54,6 +56,63 @@ pub trait Messages: Send {
     fn error(&self, at: usize, what: &str) -> anyhow::Error;
 }
 
+/// First bytes of a frame of Zstandard. A message of ROS 2 begins with 0 and its encapsulation instead.
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// Messages each of which may be compressed, as rosbag2's compression mode `message` makes them.
+struct Unpacked(Box<dyn Messages>);
+
+impl Unpacked {
+    fn unpack(message: &mut Vec<u8>) -> Result<(), String> {
+        let mut unpacked = Vec::new();
+        let decoder = ruzstd::decoding::StreamingDecoder::new(message.as_slice());
+        let decoder = decoder.map_err(|error| error.to_string())?;
+        let read = decoder
+            .take(MESSAGE_MAX as u64 + 1)
+            .read_to_end(&mut unpacked);
+        read.map_err(|error| error.to_string())?;
+        if unpacked.len() > MESSAGE_MAX {
+            return Err(format!("it has more than {MESSAGE_MAX} bytes"));
+        }
+        *message = unpacked;
+        Ok(())
+    }
+}
+
+impl Messages for Unpacked {
+    fn format(&self) -> &'static str {
+        self.0.format()
+    }
+
+    fn next(
+        &mut self,
+        message: &mut Vec<u8>,
+        topics: &mut Topics,
+        skipped: &mut Skipped,
+    ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
+        let next = self.0.next(message, topics, skipped)?;
+        if matches!(next, Some((_, Serialisation::Cdr))) && message.starts_with(&ZSTD_MAGIC) {
+            Self::unpack(message).map_err(|what| {
+                let what = format!("a message cannot be decompressed ({what}): it is damaged");
+                self.0.error(0, &what)
+            })?;
+        }
+        Ok(next)
+    }
+
+    fn places(&mut self, topics: &mut Topics) -> anyhow::Result<Option<u64>> {
+        self.0.places(topics)
+    }
+
+    fn go(&mut self, place: u64, topics: &mut Topics) -> anyhow::Result<()> {
+        self.0.go(place, topics)
+    }
+
+    fn error(&self, at: usize, what: &str) -> anyhow::Error {
+        self.0.error(at, what)
+    }
+}
+
 /// What to do with a topic once it was found out, by number.
 pub type Uses = std::collections::HashMap<u64, Use>;
 
@@ -66,10 +125,11 @@ impl RosReader {
     /// # Errors
     /// No such topic, no sensor size, a damaged file.
     pub fn new(
-        mut messages: Box<dyn Messages>,
+        messages: Box<dyn Messages>,
         place: Option<&str>,
         size: Option<Sensor>,
     ) -> anyhow::Result<Self> {
+        let mut messages: Box<dyn Messages> = Box::new(Unpacked(messages));
         let mut topics = Topics::new(place);
         let (mut message, mut skipped) = (Vec::new(), Skipped::default());
         let Some((kind, serialisation)) = messages.next(&mut message, &mut topics, &mut skipped)?
@@ -148,6 +208,11 @@ impl Decode for RosDecoder {
 
     fn skipped(&self) -> &Skipped {
         self.events.skipped()
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.events.leave_out = true;
+        true
     }
 
     fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {

@@ -1,13 +1,15 @@
 //! A bag of ROS 2 in a folder: `metadata.yaml` and files one after the other.
 //!
 //! Of the metadata only the list `relative_file_paths` is read, whose items are on lines of their own;
-//! rosbag2 writes no other form.
+//! rosbag2 writes no other form. Compressed messages and compressed files are read as they are.
 
 use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use eecvs_nostd::Sensor;
+use tempfile::TempPath;
 
 use super::decoder::{Messages, RosReader};
 use super::fields::Serialisation;
@@ -15,9 +17,19 @@ use super::message::Kind;
 use super::topics::Topics;
 use super::{db3, mcap};
 use crate::formats::Skipped;
+use crate::formats::format::Format;
 
 /// The file that makes a folder a bag.
 pub const METADATA: &str = "metadata.yaml";
+
+/// What messages call it.
+pub const FORMAT: Format = Format {
+    name: "rosbag2",
+    title: "ROS 2 bag",
+    has_places: true,
+    create: None,
+    ..mcap::FORMAT
+};
 
 /// Longest metadata.
 const METADATA_MAX: u64 = 1 << 24;
@@ -70,31 +82,60 @@ struct Folder {
     files: Vec<PathBuf>,
     /// Number of the file behind the present one.
     next: usize,
-    file: Option<Box<dyn Messages>>,
+    file: Option<Opened>,
     /// Places of each file, once asked.
     places: Vec<u64>,
 }
 
-/// Opens one file of a bag.
-fn open_file(path: &Path) -> anyhow::Result<Box<dyn Messages>> {
+/// A file of a bag, and where it was decompressed to, if it was compressed.
+struct Opened {
+    messages: Box<dyn Messages>,
+    _unpacked: Option<TempPath>,
+}
+
+/// Opens one file of a bag; one that rosbag2 has compressed as a whole (`.zstd`) by way of a temporary file.
+fn open_file(path: &Path) -> anyhow::Result<Opened> {
     let name = path.display().to_string();
-    match path.extension().and_then(|extension| extension.to_str()) {
+    if path.extension().is_none_or(|extension| extension != "zstd") {
+        return Ok(Opened {
+            messages: open_plain(path, path, &name)?,
+            _unpacked: None,
+        });
+    }
+    let packed = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
+    let mut unpacked =
+        tempfile::NamedTempFile::new().with_context(|| format!("{name}: no temporary file"))?;
+    let what = || format!("{name}: byte 0: cannot be decompressed");
+    let mut decoder = ruzstd::decoding::StreamingDecoder::new(BufReader::new(packed))
+        .map_err(std::io::Error::other)
+        .with_context(what)?;
+    std::io::copy(&mut decoder, unpacked.as_file_mut()).with_context(what)?;
+    let unpacked = unpacked.into_temp_path();
+    Ok(Opened {
+        messages: open_plain(&unpacked, &path.with_extension(""), &name)?,
+        _unpacked: Some(unpacked),
+    })
+}
+
+/// Opens the file at `path`, which was called `called` in the bag.
+fn open_plain(path: &Path, called: &Path, name: &str) -> anyhow::Result<Box<dyn Messages>> {
+    match called.extension().and_then(|extension| extension.to_str()) {
         Some("mcap") => {
             let file = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
-            Ok(Box::new(mcap::Mcap::new(Box::new(file), &name)?))
+            Ok(Box::new(mcap::Mcap::new(Box::new(file), name)?))
         }
         #[cfg(feature = "db3")]
-        Some("db3") => Ok(Box::new(db3::Database::new(path, &name)?)),
+        Some("db3") => Ok(Box::new(db3::Database::new(path, name)?)),
         #[cfg(not(feature = "db3"))]
-        Some("db3") => anyhow::bail!("{}", db3::refusal(&name)),
-        _ => anyhow::bail!("{name}: byte 0: a bag's files are .mcap or .db3: decompress it first"),
+        Some("db3") => anyhow::bail!("{}", db3::refusal(name)),
+        _ => anyhow::bail!("{name}: byte 0: a bag's files are .mcap or .db3, or these in .zstd"),
     }
 }
 
 impl Messages for Folder {
     fn format(&self) -> &'static str {
         let file = self.file.as_ref();
-        file.map_or("rosbag2", |file| file.format())
+        file.map_or(FORMAT.name, |file| file.messages.format())
     }
 
     fn next(
@@ -105,7 +146,7 @@ impl Messages for Folder {
     ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
         loop {
             if let Some(file) = &mut self.file
-                && let Some(next) = file.next(message, topics, skipped)?
+                && let Some(next) = file.messages.next(message, topics, skipped)?
             {
                 return Ok(Some(next));
             }
@@ -121,7 +162,7 @@ impl Messages for Folder {
         if self.places.is_empty() {
             for file in &self.files {
                 // Without an index a file has its beginning.
-                let places = open_file(file)?.places(topics)?.unwrap_or(1);
+                let places = open_file(file)?.messages.places(topics)?.unwrap_or(1);
                 self.places.push(places);
             }
         }
@@ -134,8 +175,8 @@ impl Messages for Folder {
             if place < *places {
                 let mut file = open_file(path)?;
                 // Its own index: the topics of earlier files are not met.
-                file.places(topics)?;
-                file.go(place, topics)?;
+                file.messages.places(topics)?;
+                file.messages.go(place, topics)?;
                 self.file = Some(file);
                 self.next = number + 1;
                 return Ok(());
@@ -147,7 +188,7 @@ impl Messages for Folder {
 
     fn error(&self, at: usize, what: &str) -> anyhow::Error {
         match &self.file {
-            Some(file) => file.error(at, what),
+            Some(file) => file.messages.error(at, what),
             None => anyhow::anyhow!("{}: byte {at}: {what}", self.name),
         }
     }

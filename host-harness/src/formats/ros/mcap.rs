@@ -4,7 +4,8 @@
 //! length. 3 schema (u16 id, name, encoding, definition), 4 channel (u16 id, u16 schema, topic,
 //! message encoding, map), 5 message (u16 channel, u32 sequence, u64 log time and u64 publish time in
 //! ns, data), 6 chunk (u64 first and last time, u64 size, u32 CRC, compression: none, `lz4` or `zstd`,
-//! u64 length, records), F end of the data, 2 footer. The data of a message is CDR.
+//! u64 length, records), F end of the data, 2 footer. The data of a message is CDR, or laid out as in ROS 1 where
+//! the channel's encoding is `ros1`: a converted bag of ROS 1.
 //!
 //! Records are read one after the other up to the end of the data, so that a file without its summary,
 //! cut off or still being written is read as far as it goes; the summary tells where chunks are, for
@@ -97,6 +98,8 @@ pub struct Mcap {
     /// Names of types by the schema's number.
     schemas: std::collections::HashMap<u16, String>,
     channels: Uses,
+    /// Channels whose messages are serialised as in ROS 1.
+    ros1: std::collections::HashSet<u16>,
     content: Vec<u8>,
     /// Position of the latest record.
     at: u64,
@@ -120,6 +123,7 @@ impl Mcap {
             bytes: Chunked::new(input),
             schemas: std::collections::HashMap::new(),
             channels: Uses::new(),
+            ros1: std::collections::HashSet::new(),
             content: Vec::new(),
             at: 0,
             ended: false,
@@ -149,11 +153,16 @@ impl Mcap {
         let kind = self.schemas.get(&schema).map_or("", String::as_str);
         let uses = topics.meet(topic, kind)?;
         if let Use::Read(_) = uses
-            && encoding != "cdr"
+            && !matches!(encoding, "cdr" | "ros1")
         {
             return Err(format!(
-                "topic {topic:?} is serialised as {encoding:?}: record it as cdr"
+                "topic {topic:?} is serialised as {encoding:?}: record it as cdr or ros1"
             ));
+        }
+        if encoding == "ros1" {
+            self.ros1.insert(id);
+        } else {
+            self.ros1.remove(&id);
         }
         self.channels.insert(id.into(), uses);
         Ok(())
@@ -287,12 +296,17 @@ impl Messages for Mcap {
                         data.ok_or_else(|| self.damaged("a message is too short: damaged"))?;
                     self.bytes.take(&mut self.content, MESSAGE_HEAD)?;
                     let channel = self.content.first_chunk().copied().unwrap_or_default();
-                    match self.channels.get(&u16::from_le_bytes(channel).into()) {
+                    let channel = u16::from_le_bytes(channel);
+                    let serialisation = match self.ros1.contains(&channel) {
+                        true => Serialisation::Ros1,
+                        false => Serialisation::Cdr,
+                    };
+                    match self.channels.get(&channel.into()) {
                         Some(Use::Read(kind)) => {
                             let kind = *kind;
                             self.at = self.bytes.offset();
                             self.bytes.take(message, data)?;
-                            return Ok(Some((kind, Serialisation::Cdr)));
+                            return Ok(Some((kind, serialisation)));
                         }
                         Some(Use::Skip(what)) => skipped.add(what, 1),
                         None => skipped.add("messages of unknown channels", 1),

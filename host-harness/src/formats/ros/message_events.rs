@@ -23,7 +23,7 @@ use super::fields::Fields;
 use super::message::{Content, Damage, Encoding};
 use crate::formats::Skipped;
 use crate::formats::evt3::{VECTOR_EVENTS, WordDecoder};
-use crate::formats::input::Batch;
+use crate::formats::input::{Batch, OUTSIDE};
 use crate::formats::raw_row::Outside;
 
 /// What words of `libcaer_cmp` have said.
@@ -81,6 +81,8 @@ pub struct MessageEvents {
     pub(super) vectors: VectorState,
     /// Whether every message so far has come from here.
     pub(super) is_counted: bool,
+    /// Whether events outside of the sensor are counted instead of refused.
+    pub(super) leave_out: bool,
     events: u64,
     pub(super) skipped: Skipped,
 }
@@ -98,6 +100,7 @@ impl MessageEvents {
             libcaer_last_us: 0,
             vectors: VectorState::default(),
             is_counted: true,
+            leave_out: false,
             events: 0,
             skipped: Skipped::default(),
         }
@@ -143,6 +146,7 @@ impl MessageEvents {
     /// # Errors
     /// Where the message is damaged, and how. The events before are valid.
     pub fn read(&mut self, batch: &mut Batch<'_>) -> Result<bool, Damage> {
+        self.evt3.leave_out = self.leave_out;
         while batch.room() >= VECTOR_EVENTS {
             match self.content {
                 None => return Ok(true),
@@ -193,6 +197,11 @@ impl MessageEvents {
         let inside = u16::try_from(x).ok().zip(u16::try_from(y).ok());
         let inside = inside.filter(|(x, y)| self.sensor.contains(*x, *y));
         let Some((x, y)) = inside else {
+            if self.leave_out {
+                self.skipped.add(OUTSIDE, 1);
+                self.events += 1;
+                return Ok(());
+            }
             return Err(self.outside(at, x.into(), y.into()));
         };
         batch.push(Event {
@@ -221,7 +230,7 @@ impl MessageEvents {
                     let before = self.evt3.events;
                     let decoded = self.evt3.decode(word, batch, &mut self.skipped);
                     self.events += self.evt3.events - before;
-                    if let Err(Outside { x, y }) = decoded {
+                    if let Err(Outside { x, y, .. }) = decoded {
                         return Err(self.outside(at, x.into(), y.into()));
                     }
                 }
