@@ -93,11 +93,7 @@ pub fn info(
         sum_x: 0,
         sum_y: 0,
         sha256_events: String::new(),
-        assumptions: reader
-            .assumptions()
-            .iter()
-            .map(ToString::to_string)
-            .collect(),
+        assumptions: Vec::new(),
         skipped: BTreeMap::new(),
         damage: None,
     };
@@ -127,6 +123,11 @@ pub fn info(
                 info.count(&events);
             }
             progress(read as u64);
+        }
+        if pass == 0 {
+            // Some show only on the way.
+            let taken = reader.assumptions().iter();
+            info.assumptions = taken.map(ToString::to_string).collect();
         }
         if pass == 0 {
             let skipped = reader.skipped().iter();
