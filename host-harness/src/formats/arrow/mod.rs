@@ -285,12 +285,14 @@ impl ArrowDecoder {
             // polars writes the schema into the footer alone.
             other if is_file => {
                 place.position = start;
-                let Some((schema, at)) = place.footer() else {
+                let Some((schema, first, at)) = place.footer() else {
                     other?;
+                    place.position = start;
                     return Err(place.error(
-                        "no schema, neither in front nor in the footer: truncated or damaged",
+                        "no schema comes first, nor is one in the footer: truncated or damaged",
                     ));
                 };
+                place.position = first;
                 (length, is_file) = (at, false);
                 schema
             }
@@ -707,23 +709,29 @@ impl Place<'_> {
         anyhow::anyhow!("{}: byte {}: {what}", self.name, self.position)
     }
 
-    /// The schema in a file's footer, and where the footer begins.
-    fn footer(&mut self) -> Option<(Schema, u64)> {
+    /// The schema in a file's footer, where the first of the messages begins that it lists, and where it begins
+    /// itself.
+    fn footer(&mut self) -> Option<(Schema, u64, u64)> {
         let start = self.position;
         let end = self.length.checked_sub(10)?;
         self.position = end;
         let tail = self.bytes(10).ok()?;
-        self.position = start;
         let (size, magic) = tail.split_first_chunk()?;
         let size = u32::from_le_bytes(*size);
         if magic != MAGIC || size > METADATA_MAX {
             return None;
         }
-        let at = end.checked_sub(size.into()).filter(|at| *at >= start)?;
+        let at = end
+            .checked_sub(size.into())
+            .filter(|at| *at >= START_BYTES)?;
         self.position = at;
         let bytes = self.bytes(size as usize).ok();
         self.position = start;
-        Some((schema::footer(&bytes?)?, at))
+        let (schema, first) = schema::footer(&bytes?)?;
+        let first = first.unwrap_or(at);
+        (START_BYTES..=at)
+            .contains(&first)
+            .then_some((schema, first, at))
     }
 
     fn bytes(&mut self, count: usize) -> anyhow::Result<Vec<u8>> {

@@ -102,10 +102,23 @@ pub fn message(bytes: &[u8]) -> Option<(Message, u64)> {
     Some((message, body))
 }
 
-/// The schema that a file's footer repeats; `None` where it is damaged.
-pub fn footer(bytes: &[u8]) -> Option<Schema> {
+/// The schema that a file's footer repeats, and where the first of the messages begins that it lists, if any;
+/// `None` where it is damaged.
+pub fn footer(bytes: &[u8]) -> Option<(Schema, Option<u64>)> {
     let (buffer, root) = Buffer::plain(bytes)?;
-    schema(buffer, buffer.table(root, 1)??)
+    let schema = schema(buffer, buffer.table(root, 1)??)?;
+    let mut first: Option<u64> = None;
+    // Dictionaries, batches: blocks of offset, metadata's bytes, body's bytes.
+    for field in [2, 3] {
+        let blocks = buffer.vector(root, field)?;
+        buffer.holds(blocks.start, blocks.len.checked_mul(24)?)?;
+        for index in 0..blocks.len {
+            let at = i64::from_le_bytes(buffer.bytes(blocks.start + 24 * index)?);
+            let at = u64::try_from(at).ok()?;
+            first = Some(first.map_or(at, |first| first.min(at)));
+        }
+    }
+    Some((schema, first))
 }
 
 fn dictionary(buffer: Buffer, table: Table) -> Option<Dictionary> {

@@ -374,7 +374,7 @@ impl Plan {
                 return Ok(Some(event));
             }
         }
-        if rows.may_wrap() {
+        if rows.may_wrap() && self.has_wrapped()? {
             return Ok(None);
         }
         let (mut first, mut end) = (0, self.events);
@@ -387,6 +387,19 @@ impl Plan {
             }
         }
         Ok(Some(first))
+    }
+
+    /// Whether the last time is before the first.
+    fn has_wrapped(&self) -> Result<bool, Error> {
+        let time = |event| -> Result<Option<f64>, Error> {
+            let row = self.read(event, 1)?.first().and_then(|row| row[T]);
+            Ok(row.map(Number::float))
+        };
+        if self.events == 0 {
+            return Ok(false);
+        }
+        let (first, last) = (time(0)?, time(self.events.saturating_sub(1))?);
+        Ok(last < first)
     }
 
     /// The event that `ms_to_idx` names.
