@@ -258,12 +258,12 @@ impl RowEvents {
     pub fn event(&mut self, row: &Row) -> Result<Option<Event>, (usize, String)> {
         match self.whole(row) {
             Ok(event) => Ok(Some(event)),
-            Err(bad) => self.bad(row, bad),
+            Err(bad) => self.bad(row, &bad),
         }
     }
 
     #[cold]
-    fn bad(&mut self, row: &Row, bad: Bad) -> Result<Option<Event>, (usize, String)> {
+    fn bad(&mut self, row: &Row, bad: &Bad) -> Result<Option<Event>, (usize, String)> {
         let (which, cause, what) = bad.told(row, self.sensor);
         match cause {
             Some(cause) if self.leave_out => {

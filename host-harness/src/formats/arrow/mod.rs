@@ -395,7 +395,7 @@ impl ArrowDecoder {
                     return Ok(true);
                 }
                 Message::Dictionary(dictionary) => {
-                    self.take_dictionary(&dictionary, start, (body_at, body))?
+                    self.take_dictionary(&dictionary, start, (body_at, body))?;
                 }
                 _ => {}
             }

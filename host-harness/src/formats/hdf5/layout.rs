@@ -241,7 +241,8 @@ impl Plan {
         for dataset in self.datasets() {
             let bytes = hdf5_reader::dtype_element_size(dataset.dtype()).unwrap_or(0) as u64;
             let sides = dataset.shape().iter();
-            let all = sides.fold(Some(bytes), |all, side| all?.checked_mul(*side));
+            let mut sides = sides;
+            let all = sides.try_fold(bytes, |all, side| all.checked_mul(*side));
             if all.is_none_or(|all| all > most) {
                 let what = format!("{} events are more than the file can hold", self.events);
                 return Err(file.error(dataset, what));

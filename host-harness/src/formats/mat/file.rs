@@ -535,13 +535,16 @@ impl<'f> Elements<'f> {
                 return Err(format!("damaged variable: field {name} is no array"));
             }
             match self.head(&tag)? {
-                Some(head) if head.class == STRUCTURE && head.rows * head.columns == 1 => {
-                    if depth > 0 && nested.len() < VARIABLES_MAX {
-                        let name = format!("{place}/{name}");
-                        let fields = self.fields(&name, nested, depth - 1)?;
-                        let content = Content::Structure(fields);
-                        nested.push(Variable { name, content });
-                    }
+                Some(head)
+                    if head.class == STRUCTURE
+                        && head.rows * head.columns == 1
+                        && depth > 0
+                        && nested.len() < VARIABLES_MAX =>
+                {
+                    let name = format!("{place}/{name}");
+                    let fields = self.fields(&name, nested, depth - 1)?;
+                    let content = Content::Structure(fields);
+                    nested.push(Variable { name, content });
                 }
                 Some(head) => {
                     let array = self.numbers(&head)?;
