@@ -98,11 +98,7 @@ pub fn info(
         sum_y: 0,
         sha256_events: String::new(),
         xxh128_sum_events: String::new(),
-        assumptions: reader
-            .assumptions()
-            .iter()
-            .map(ToString::to_string)
-            .collect(),
+        assumptions: Vec::new(),
         skipped: BTreeMap::new(),
         damage: None,
     };
@@ -134,6 +130,11 @@ pub fn info(
                 sum = events.iter().map(unordered).fold(sum, u128::wrapping_add);
             }
             progress(read as u64);
+        }
+        if pass == 0 {
+            // Some show only on the way.
+            let taken = reader.assumptions().iter();
+            info.assumptions = taken.map(ToString::to_string).collect();
         }
         if pass == 0 {
             let skipped = reader.skipped().iter();

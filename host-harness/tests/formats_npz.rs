@@ -264,11 +264,11 @@ fn what_is_wrong_is_named() {
             "x.npy: 2 values, but 3 times",
         ),
         (file(&complex, &good, &good), 0, "t.npy: the type must be"),
-        (file(&objects, &good, &good), 0, "damaged npy header"),
+        (file(&objects, &good, &good), 0, "objects of Python"),
         (
             file(&nan, &good, &good),
             0,
-            "t.npy: event 0: the time is negative, no number",
+            "t.npy: event 0: a value is missing",
         ),
         (
             file(&short, &good, &good),

@@ -32,6 +32,7 @@ pub const FORMATS: &[Format] = &[
     es::FORMAT,
     hdf5::FORMAT,
     npz::FORMAT,
+    npz::NPY_FORMAT,
     mat::FORMAT,
     arrow::FORMAT,
     parquet::FORMAT,
@@ -139,7 +140,8 @@ pub struct Opening<'a> {
 /// Opens a recording, its format found by content; `reading` says what the file does not.
 ///
 /// A dataset or group of an HDF5 file is named behind it: `FILE.hdf5/davis/right/events`; so is a topic
-/// of a bag of ROS, and a stream of an AEDAT 4 file. A folder with a `metadata.yaml` is a bag of ROS 2.
+/// of a bag of ROS, a stream of an AEDAT 4 file, an array of an npz file, a recording of a zip file. A folder with a
+/// `metadata.yaml` is a bag of ROS 2, one with `.npy` files a recording.
 ///
 /// # Errors
 /// Unknown format, unreadable file, damaged header.
@@ -152,6 +154,9 @@ pub fn open(path: &Path, reading: impl Into<Reading>) -> anyhow::Result<Box<dyn 
     };
     let name = file.display().to_string();
     let metadata = std::fs::metadata(file).with_context(|| format!("{name}: cannot be opened"))?;
+    if metadata.is_dir() && !file.join(ros::folder::METADATA).is_file() && npz::is_folder(file) {
+        return npz::open_folder(file, &reading);
+    }
     if metadata.is_dir() {
         let format = &ros::folder::FORMAT;
         adjusted::check(format, &name, &reading)?;

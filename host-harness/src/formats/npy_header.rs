@@ -5,8 +5,10 @@
 
 use std::io::Read;
 
+use super::row_events::Scale;
+
 /// First bytes of every array.
-const MAGIC: &[u8; 6] = b"\x93NUMPY";
+pub const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
 /// Longest header; numpy itself warns above 10,000 characters.
 const HEADER_MAX: usize = 1 << 16;
@@ -43,6 +45,8 @@ pub struct Dtype {
     big_endian: bool,
     /// Bytes of a number.
     pub bytes: usize,
+    /// Of numpy's times and durations: what a number is.
+    scale: Option<Scale>,
 }
 
 /// A number of an array.
@@ -82,6 +86,7 @@ impl Dtype {
             kind,
             big_endian,
             bytes,
+            scale: None,
         };
         dtype.is_number().then_some(dtype)
     }
@@ -92,7 +97,12 @@ impl Dtype {
             _ => ("=", text),
         };
         let (kind, size) = rest.split_at_checked(1)?;
-        let size: usize = size.parse().ok()?;
+        let (size, unit) = match size.split_once('[') {
+            Some((size, unit)) => (size, unit.strip_suffix(']')),
+            None => (size, None),
+        };
+        // Objects of Python have no size.
+        let size: usize = if kind == "O" { 8 } else { size.parse().ok()? };
         let bytes = if kind == "U" {
             size.checked_mul(4)?
         } else {
@@ -103,7 +113,23 @@ impl Dtype {
             kind,
             big_endian: order == ">",
             bytes,
+            scale: unit.and_then(unit_scale),
         })
+    }
+
+    /// What a number of a type of times or durations is, of a unit that months and years have not.
+    pub fn scale(self) -> Option<Scale> {
+        self.scale
+    }
+
+    /// Whether it is an unsigned number of 32 bits.
+    pub fn is_u32(self) -> bool {
+        self.kind == b'u' && self.bytes == 4
+    }
+
+    /// Whether it is numpy's type of Python's objects.
+    pub fn is_object(self) -> bool {
+        self.kind == b'O'
     }
 
     /// Whether [`Dtype::number`] can read it: bool, integers of 1 to 8 bytes, floats of 2 to 8.
@@ -112,6 +138,7 @@ impl Dtype {
             b'b' => self.bytes == 1,
             b'i' | b'u' => matches!(self.bytes, 1 | 2 | 4 | 8),
             b'f' => matches!(self.bytes, 2 | 4 | 8),
+            b'm' | b'M' => self.bytes == 8 && self.scale.is_some(),
             _ => false,
         }
     }
@@ -163,6 +190,9 @@ impl Dtype {
                 let shift = 64 - 8 * self.bytes as u32;
                 Number::Whole((raw << shift) as i64 >> shift)
             }
+            // Not a time.
+            (b'm' | b'M', 8) if raw == 1 << 63 => Number::Float(f64::NAN),
+            (b'm' | b'M', 8) => Number::Whole(raw as i64),
             (b'u' | b'b', _) => Number::Whole(i64::try_from(raw).ok()?),
             (b'f', 2) => Number::Float(half(raw as u16)),
             (b'f', 4) => Number::Float(f64::from(f32::from_bits(raw as u32))),
@@ -170,6 +200,33 @@ impl Dtype {
             _ => return None,
         })
     }
+}
+
+/// What a number is that counts numpy's unit, such as `ns` or `25us`.
+fn unit_scale(unit: &str) -> Option<Scale> {
+    let digits = unit.find(|letter: char| !letter.is_ascii_digit())?;
+    let (count, unit) = unit.split_at_checked(digits)?;
+    let count: i64 = if count.is_empty() {
+        1
+    } else {
+        count.parse().ok()?
+    };
+    let (times, by) = match unit {
+        "W" => (604_800_000_000, 1),
+        "D" => (86_400_000_000, 1),
+        "h" => (3_600_000_000, 1),
+        "m" => (60_000_000, 1),
+        "s" => (1_000_000, 1),
+        "ms" => (1_000, 1),
+        "us" => (1, 1),
+        "ns" => (1, 1_000),
+        "ps" => (1, 1_000_000),
+        "fs" => (1, 1_000_000_000),
+        "as" => (1, 1_000_000_000_000),
+        _ => return None,
+    };
+    let times = count.checked_mul(times).filter(|times| *times > 0)?;
+    Some(Scale::new(times, by))
 }
 
 /// IEEE 754 binary16.
@@ -287,11 +344,15 @@ impl NpyHeader {
 
     /// A version 1 header of `count` numbers of type `descr`, or of one scalar where it is `None`.
     pub fn text(descr: &str, count: Option<u64>) -> Vec<u8> {
+        Self::padded(&format!("'{descr}'"), count, 0)
+    }
+
+    /// As [`NpyHeader::text`], of a `descr` as Python writes it, and at least `least` bytes long.
+    pub fn padded(descr: &str, count: Option<u64>, least: usize) -> Vec<u8> {
         let shape = count.map_or(String::from("()"), |count| format!("({count},)"));
-        let mut text =
-            format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+        let mut text = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}");
         // Elements begin at a multiple of 64, after a line feed.
-        while !(10 + text.len() + 1).is_multiple_of(64) {
+        while 11 + text.len() < least || !(11 + text.len()).is_multiple_of(64) {
             text.push(' ');
         }
         text.push('\n');
@@ -485,6 +546,17 @@ mod tests {
             Some(Number::Float(0.1))
         );
         assert_eq!(read("<f8", &[0; 7]), None);
+        let timed = |text: &str, value: i64| {
+            let dtype = Dtype::parse(text).filter(|dtype| dtype.is_number())?;
+            dtype.scale()?.us(dtype.number(&value.to_le_bytes())?)
+        };
+        assert_eq!(timed("<m8[ns]", 1_500), Some(2));
+        assert_eq!(timed("<M8[us]", 7), Some(7));
+        assert_eq!(timed("<m8[25ms]", 2), Some(50_000));
+        assert_eq!(timed("<m8[D]", 1), Some(86_400_000_000));
+        assert_eq!(timed("<m8[Y]", 1), None);
+        assert_eq!(timed("<m8[ns]", i64::MIN), None);
+        assert!(Dtype::parse("|O").expect("a type").is_object());
         assert!(!Dtype::parse("<f16").expect("a type").is_number());
         assert!(!Dtype::parse("<c8").expect("a type").is_number());
     }

@@ -1,104 +1,206 @@
-//! Events as numpy arrays in a zip file (`.npz`), stored or deflated.
+//! Events as numpy's arrays: in a zip file (`.npz`, stored or deflated), in one file (`.npy`), or in a folder
+//! of such files.
 //!
-//! * Either keys t, x, y and p (also ts, time, timestamp(s); pol, polarity), one dimension each,
-//! * or one array `events` (or the only array of the file): structured with fields of these names,
-//!   or of shape (N, 4), whose columns are told apart as those of a text file without header.
-//! * Scalars `width` and `height` give the sensor's size; without them and without a size from
-//!   the caller a first pass finds the largest x and y, plus one.
-//! * Integers and floats of any width up to 8 bytes, either byte order, bool for p.
-//! * t: integers are microseconds. Floats are seconds, rounded to the nearest microsecond, unless
-//!   the first 4,096 are whole and there are 16 different ones, or one of 1e10 and more.
-//! * p: 1 or true is on; 0, -1 or false is off.
+//! * Either arrays t, x, y and p (or of other names that these usually have, such as ts, `timestamps_ns`, pol,
+//!   on), of one dimension or (N, 1), (1, N) each,
+//! * or one array `events` (or the only one, or the one that is named behind the file: `FILE.npz/left`):
+//!   structured with fields of these names, or of shape (N, 4) or (4, N), whose columns are told apart as those
+//!   of a text file without header.
+//! * `--columns` names arrays or fields, or gives the order of a table, which may then have any width.
+//! * Scalars `width` and `height`, or a pair such as `resolution`, give the sensor's size; without them and
+//!   without a size from the caller a first pass finds the largest x and y, plus one.
+//! * Integers and floats of any width up to 8 bytes, either byte order, bool for p, timedelta64 and datetime64
+//!   for t. Arrays of Python's objects (pickled dictionaries) are named in the error.
+//! * t: of a time type, or of a name that ends in a unit, in that; else [`super::time_unit`] has the rule.
+//!   [`super::row_events`] has the rules for clocks that wrap, polarities and events that cannot be one.
+//!
+//! A zip file without arrays may hold one recording of another kind: see [`super::zip_recording`].
 //!
 //! The arrays are read in step, one batch of each at a time. A wrong CRC-32 of one is an error
 //! after the last event; a truncated file has lost its directory and cannot be read at all.
 
-use eecvs_nostd::{Event, Sensor};
+use std::path::Path;
 
-use super::Skipped;
-use super::event_numbers::{self, TimeUnit};
+use anyhow::Context;
+use eecvs_nostd::Sensor;
+
+use super::event_numbers::Row;
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, ReadSeek, Reader};
+use super::npy_header;
+use super::npy_writer::NpyWriter;
 use super::npz_layout::{Field, NpzFile, Plan, Stream, count, fill};
 use super::npz_writer::NpzWriter;
+use super::reading::{Assumption, Reading};
+use super::row_events::{Base, RowEvents};
+use super::time_unit::SAMPLE_TIMES;
+use super::zip_entry::Entries;
+use super::{EventReader, Skipped, zip_recording};
 
 /// First bytes of a zip file with an entry.
 pub const MAGIC: &[u8; 4] = b"PK\x03\x04";
 
-/// This format in the table of formats.
+/// Most files of a folder that are looked at.
+const FILES_MAX: usize = 256;
+
+/// npz in the table of formats.
 pub const FORMAT: Format = Format {
     name: "npz",
     title: "npz",
     endings: &[".npz"],
     detect: |start| start.begins(MAGIC),
-    open: |Opening {
-               source,
-               name,
-               reading,
-               ..
-           }| Ok(Box::new(NpzReader::new(source, name, reading.size)?)),
-    has_places: false,
+    open: open_zip,
+    has_places: true,
     grows: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(NpzWriter::create(path, sensor)?))),
 };
 
-/// Reader of npz files.
+/// npy in the table of formats.
+pub const NPY_FORMAT: Format = Format {
+    name: "npy",
+    title: "npy",
+    endings: &[".npy"],
+    detect: |start| start.begins(npy_header::MAGIC),
+    open: |Opening {
+               source,
+               name,
+               reading,
+               ..
+           }| {
+        let entries = Entries::files(vec![("events.npy".to_owned(), source)]);
+        let entries = entries.with_context(|| format!("{name}: byte 0: cannot be read"))?;
+        let file = NpzFile::new(entries, name);
+        Ok(Box::new(NpzReader::new(file, "npy", None, &reading)?))
+    },
+    has_places: false,
+    grows: false,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(NpyWriter::create(path, sensor)?))),
+};
+
+/// Opens a zip file of arrays, or of one recording.
+fn open_zip(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
+    let Opening {
+        source,
+        name,
+        place,
+        reading,
+        ..
+    } = opening;
+    let entries = Entries::read(source)
+        .map_err(|error| anyhow::anyhow!("{name}: byte 0: damaged zip or npz file: {error}"))?;
+    if zip_recording::holds_one(&entries, place) {
+        return zip_recording::open(&entries, name, place, &reading);
+    }
+    let file = NpzFile::new(entries, name);
+    Ok(Box::new(NpzReader::new(file, "npz", place, &reading)?))
+}
+
+/// Opens a zip file of arrays in memory or in a file.
+///
+/// # Errors
+/// As [`super::open`].
+pub fn open_arrays(
+    source: Box<dyn ReadSeek>,
+    name: &str,
+    reading: &Reading,
+) -> anyhow::Result<Box<dyn EventReader>> {
+    let entries = Entries::read(source)
+        .map_err(|error| anyhow::anyhow!("{name}: byte 0: damaged npz file: {error}"))?;
+    let file = NpzFile::new(entries, name);
+    Ok(Box::new(NpzReader::new(file, "npz", None, reading)?))
+}
+
+/// Whether a folder holds arrays, `t.npy` and the like.
+pub fn is_folder(path: &Path) -> bool {
+    let mut files = std::fs::read_dir(path).into_iter().flatten().flatten();
+    files.any(|file| Path::new(&file.file_name()).extension() == Some("npy".as_ref()))
+}
+
+/// Opens a folder of arrays.
+///
+/// # Errors
+/// I/O, and as [`super::open`].
+pub fn open_folder(path: &Path, reading: &Reading) -> anyhow::Result<Box<dyn EventReader>> {
+    let name = path.display().to_string();
+    let failed = || format!("{name}: cannot be read");
+    let mut files: Vec<(String, Box<dyn ReadSeek>)> = Vec::new();
+    let mut paths = Vec::new();
+    for file in std::fs::read_dir(path).with_context(failed)? {
+        paths.push(file.with_context(failed)?.path());
+    }
+    paths.retain(|path| path.extension() == Some("npy".as_ref()));
+    paths.sort();
+    anyhow::ensure!(
+        paths.len() <= FILES_MAX,
+        "{name}: more than {FILES_MAX} npy files: name one of them"
+    );
+    for path in paths {
+        let file = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        let source = std::fs::File::open(&path).with_context(failed)?;
+        files.push((file, Box::new(source)));
+    }
+    let file = NpzFile::new(Entries::files(files).with_context(failed)?, &name);
+    Ok(Box::new(NpzReader::new(file, "npy", None, reading)?))
+}
+
+/// Reader of numpy's arrays.
 pub type NpzReader = Reader<NpzDecoder>;
 
 impl NpzReader {
-    /// Reads `source`, which messages call `name`; `size` counts where the file names no size.
-    ///
-    /// # Errors
-    /// No zip file, arrays missing or of a wrong type or shape, no size and no event.
-    pub fn new(
-        source: Box<dyn ReadSeek>,
-        name: &str,
-        size: Option<Sensor>,
+    /// Reads `file`, of the format of this name; `place` is the array that the user named.
+    fn new(
+        file: NpzFile,
+        format: &'static str,
+        place: Option<&str>,
+        reading: &Reading,
     ) -> anyhow::Result<Self> {
-        let file = NpzFile::open(source, name)?;
-        let mut plan = file.plan()?;
-        plan.seconds = file.times_in_seconds(&plan)?;
-        let sensor = match file.stated_size()?.or(size) {
+        let plan = file.plan(reading, place)?;
+        let (sample, _) = file.first_rows(&plan, SAMPLE_TIMES)?;
+        let rows = RowEvents::new(reading, plan.times, Base::default(), &sample);
+        let mut rows = rows.map_err(|what| match plan.streams.first() {
+            Some(stream) => file.error(&stream.entry, what),
+            None => anyhow::anyhow!("{}: {what}", file.name()),
+        })?;
+        rows.assumptions.extend(plan.assumption.clone());
+        rows.sensor = match file.stated_size()?.or(reading.size).or(plan.named_sensor) {
             Some(sensor) => sensor,
-            None => file.largest(&plan)?,
+            None => file.largest(&plan, reading)?,
         };
-        let mut skipped = Skipped::default();
-        skipped.add(
-            "other arrays",
-            file.arrays().saturating_sub(plan.used) as u64,
-        );
+        let used = plan.used + file.sizes();
+        let others = file.arrays().saturating_sub(used);
+        rows.skipped.add("other arrays", others as u64);
         let streams = file.streams(&plan)?;
         Ok(Self::around(NpzDecoder {
+            format,
             file,
             plan,
             streams,
-            sensor,
+            rows,
             events: 0,
-            skipped,
         }))
     }
 }
 
 /// State between two batches.
 pub struct NpzDecoder {
+    format: &'static str,
     file: NpzFile,
     plan: Plan,
     streams: Vec<Stream>,
-    sensor: Sensor,
+    rows: RowEvents,
     events: u64,
-    skipped: Skipped,
 }
 
 impl NpzDecoder {
-    fn event(&self, row: usize) -> Result<Event, (usize, String)> {
+    fn row(&self, row: usize) -> Row {
         let number = |field: Field| self.streams.get(field.stream)?.number(row, field);
-        let numbers = self.plan.fields.map(number);
-        let unit = TimeUnit {
-            seconds: self.plan.seconds,
-            offset_us: 0,
-        };
-        event_numbers::event(&numbers, unit, self.sensor)
+        self.plan.fields.map(number)
     }
 
     fn error(&self, stream: usize, what: impl std::fmt::Display) -> anyhow::Error {
@@ -112,39 +214,50 @@ impl NpzDecoder {
 
 impl Decode for NpzDecoder {
     fn format(&self) -> &'static str {
-        "npz"
+        self.format
     }
 
     fn sensor(&self) -> Sensor {
-        self.sensor
+        self.rows.sensor
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.rows.assumptions
     }
 
     fn skipped(&self) -> &Skipped {
-        &self.skipped
+        &self.rows.skipped
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
-        let count = count(self.plan.events - self.events, batch.room());
-        let (whole, ended) = fill(&mut self.streams, count);
-        for row in 0..whole {
-            match self.event(row) {
-                Ok(event) => batch.push(event),
-                Err((which, what)) => {
-                    return Err(self.error(self.plan.fields[which].stream, what));
+        loop {
+            let count = count(self.plan.events - self.events, batch.room());
+            let (whole, ended) = fill(&mut self.streams, count);
+            for row in 0..whole {
+                let numbers = self.row(row);
+                match self.rows.event(&numbers) {
+                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
+                    Err((which, what)) => {
+                        return Err(self.error(self.plan.fields[which].stream, what));
+                    }
                 }
+                self.events += 1;
             }
-            self.events += 1;
-        }
-        match ended {
-            // Where in the array the damage is nobody can tell, so the events are out by now.
-            None if count == 0 => match self.streams.iter().position(Stream::is_damaged) {
-                None => Ok(()),
-                Some(stream) => {
-                    Err(self.error(stream, "the array's CRC-32 is wrong: damaged data"))
+            match ended {
+                // Where in the array the damage is nobody can tell, so the events are out by now.
+                None if count == 0 => {
+                    return match self.streams.iter().position(Stream::is_damaged) {
+                        None => Ok(()),
+                        Some(stream) => {
+                            Err(self.error(stream, "the array's CRC-32 is wrong: damaged data"))
+                        }
+                    };
                 }
-            },
-            None => Ok(()),
-            Some((stream, error)) => Err(self.error(stream, error)),
+                // None of a batch may have been an event.
+                None if batch.is_empty() => {}
+                None => return Ok(()),
+                Some((stream, error)) => return Err(self.error(stream, error)),
+            }
         }
     }
 }

@@ -1,14 +1,17 @@
-//! Where the numbers of the events are in an npz file, and how they are read in step.
+//! Where the numbers of the events are in numpy's arrays, and how they are read in step.
 
 use std::io::Read;
 
 use eecvs_nostd::Sensor;
 
 use super::BATCH_EVENTS;
-use super::event_numbers::{NAMES, SAMPLE_ROWS, SAMPLE_TIMES, X, Y, column_order, coordinate};
-use super::input::ReadSeek;
+use super::event_numbers::{
+    Named, Row, SAMPLE_ROWS, X, Y, column_order, find_names, given_names, names_taken, order_taken,
+};
 use super::npy_header::{Descr, Dtype, NpyHeader, Number};
-use super::time_unit::TimeSample;
+use super::reading::{Assumption, Columns, Reading};
+use super::row_events::{Extent, Scale, Times};
+use super::stated_size::{self, StatedSize};
 use super::zip_entry::{Entries, Entry, EntryReader};
 
 /// A number of every event: its stream, its offset in the stream's record, its type.
@@ -20,7 +23,7 @@ pub struct Field {
 }
 
 /// A part of an array that is read from front to back.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct StreamPlan {
     pub entry: Entry,
     /// Bytes before the first record.
@@ -36,10 +39,14 @@ pub struct Plan {
     pub fields: [Field; 4],
     /// Number of events.
     pub events: u64,
-    /// Whether float times are seconds.
-    pub seconds: bool,
-    /// Arrays used, the scalars included.
+    /// What the times are.
+    pub times: Times,
+    /// Arrays used, but for those of the size.
     pub used: usize,
+    /// How t, x, y and p were found, where that may be wrong.
+    pub assumption: Option<Assumption>,
+    /// The size that names like `x@320` state.
+    pub named_sensor: Option<Sensor>,
 }
 
 /// A stream being read, and the records of a batch.
@@ -80,19 +87,17 @@ impl Stream {
     }
 }
 
-/// A zip file of arrays.
+/// Arrays, each an entry of a zip file or a file.
 pub struct NpzFile {
     name: String,
     entries: Entries,
 }
 
 impl NpzFile {
-    /// Opens a zip file, which messages call `name`.
-    pub fn open(source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<Self> {
-        let entries = Entries::read(source)
-            .map_err(|error| anyhow::anyhow!("{name}: byte 0: damaged npz file: {error}"))?;
+    /// Arrays of a zip file or in files, which messages call `name`.
+    pub fn new(entries: Entries, name: &str) -> Self {
         let name = name.to_owned();
-        Ok(Self { name, entries })
+        Self { name, entries }
     }
 
     /// Name for messages.
@@ -120,62 +125,87 @@ impl NpzFile {
         NpyHeader::read(&mut reader).map_err(|what| self.error(entry, what))
     }
 
-    fn find(&self, names: &[&str]) -> Option<&Entry> {
-        self.entries.iter().find(|entry| {
-            let name = entry.name.strip_suffix(".npy").unwrap_or(&entry.name);
-            names.iter().any(|known| name.eq_ignore_ascii_case(known))
-        })
+    fn find(&self, name: &str) -> Option<&Entry> {
+        let mut entries = self.entries.iter();
+        entries.find(|entry| stem(entry).eq_ignore_ascii_case(name))
     }
 
-    /// Finds the arrays of the events.
-    pub fn plan(&self) -> anyhow::Result<Plan> {
-        let found = NAMES.map(|names| self.find(names));
-        if let [Some(t), Some(x), Some(y), Some(p)] = found {
-            return self.plan_columns([t, x, y, p]);
+    /// Finds the arrays of the events; `place` is the array that the user named.
+    pub fn plan(&self, reading: &Reading, place: Option<&str>) -> anyhow::Result<Plan> {
+        if let Some(place) = place {
+            let entry = self
+                .find(place)
+                .or_else(|| self.find(place.strip_suffix(".npy")?));
+            let entry = entry.ok_or_else(|| self.missing(&format!("no array {place}")))?;
+            return self.plan_whole(entry, reading);
+        }
+        let given = given_names(reading);
+        let names = self.entries.iter().map(stem);
+        if let Some(named) = find_names(names, given) {
+            return self.plan_columns(&named, reading);
         }
         let mut all = self.entries.iter();
         let only = all.next().filter(|_| all.next().is_none());
-        let Some(entry) = self.find(&["events"]).or(only) else {
-            let arrays: Vec<_> = self
-                .entries
-                .iter()
-                .map(|entry| entry.name.as_str())
-                .collect();
-            anyhow::bail!(
-                "{}: byte 0: no arrays t, x, y, p and no array events, but {}",
-                self.name,
-                arrays.join(", ")
-            );
+        let Some(entry) = self.find("events").or(only) else {
+            let what = match given {
+                Some(names) => format!("no arrays {}", names.join(", ")),
+                None => "no arrays t, x, y, p and no array events".to_owned(),
+            };
+            return Err(self.missing(&what));
         };
+        self.plan_whole(entry, reading)
+    }
+
+    fn missing(&self, what: &str) -> anyhow::Error {
+        let arrays = self.entries.iter().map(|entry| entry.name.as_str());
+        let arrays: Vec<&str> = arrays.take(24).collect();
+        let (name, arrays) = (&self.name, arrays.join(", "));
+        anyhow::anyhow!(
+            "{name}: byte 0: {what}, but {arrays}: name one, as in {name}/events, or see --columns"
+        )
+    }
+
+    fn plan_whole(&self, entry: &Entry, reading: &Reading) -> anyhow::Result<Plan> {
         let header = self.header(entry)?;
         match &header.descr {
-            Descr::Fields(fields, size) => self.plan_structured(entry, &header, fields, *size),
-            Descr::Plain(dtype) => self.plan_table(entry, &header, *dtype),
+            Descr::Fields(fields, size) => {
+                self.plan_structured(entry, &header, (fields, *size), reading)
+            }
+            Descr::Plain(dtype) => self.plan_table(entry, &header, *dtype, reading),
         }
     }
 
     fn checked(&self, entry: &Entry, dtype: Dtype) -> anyhow::Result<Dtype> {
+        if dtype.is_object() {
+            let what = "it holds objects of Python (a dictionary or a list, pickled), which only Python can \
+                        read: load it there with allow_pickle=True and save its arrays: \
+                        numpy.savez(FILE, t=..., x=..., y=..., p=...)";
+            return Err(self.error(entry, what));
+        }
         let ok = dtype.is_number();
         ok.then_some(dtype).ok_or_else(|| {
-            self.error(
-                entry,
-                "the type must be bool, an integer of up to 8 or a float of up to 8 bytes",
-            )
+            let what = "the type must be bool, an integer of up to 8 or a float of up to 8 bytes, or a time \
+                        of a unit from as to W";
+            self.error(entry, what)
         })
     }
 
-    fn plan_columns(&self, entries: [&Entry; 4]) -> anyhow::Result<Plan> {
+    fn plan_columns(&self, named: &Named, reading: &Reading) -> anyhow::Result<Plan> {
+        self.refuse_places(reading)?;
         let mut streams = Vec::new();
         let mut fields = Vec::new();
         let mut events = None;
-        for (stream, entry) in entries.into_iter().enumerate() {
+        for (stream, place) in named.places.into_iter().enumerate() {
+            let entry = self.entries.iter().nth(place);
+            let entry = entry.ok_or_else(|| self.missing("no such array"))?;
             let header = self.header(entry)?;
-            let (Descr::Plain(dtype), [count]) = (&header.descr, header.shape.as_slice()) else {
+            let (Descr::Plain(dtype), Some(count)) = (&header.descr, one_side(&header.shape))
+            else {
                 return Err(self.error(entry, "the array must be one column of numbers"));
             };
             let dtype = self.checked(entry, *dtype)?;
-            let first = *events.get_or_insert(*count);
-            if first != *count {
+            let first = *events.get_or_insert(count);
+            if first != count {
                 let what = format!("{count} values, but {first} times");
                 return Err(self.error(entry, what));
             }
@@ -191,26 +221,45 @@ impl NpzFile {
                 dtype,
             });
         }
-        self.finish_plan(streams, &fields, events.unwrap_or(0), 4)
+        let plan = self.finish_plan(streams, &fields, events.unwrap_or(0), 4)?;
+        Ok(plan.with(named))
+    }
+
+    /// `--columns` by places is for tables without names.
+    fn refuse_places(&self, reading: &Reading) -> anyhow::Result<()> {
+        let by_places = matches!(reading.columns, Some(Columns::Places { .. }));
+        let name = &self.name;
+        anyhow::ensure!(
+            !by_places,
+            "{name}: byte 0: the columns have names: give --columns t=NAME,x=NAME,y=NAME,p=NAME"
+        );
+        Ok(())
     }
 
     fn plan_structured(
         &self,
         entry: &Entry,
         header: &NpyHeader,
-        named: &[(String, usize, Dtype)],
-        record: usize,
+        (named, record): (&[(String, usize, Dtype)], usize),
+        reading: &Reading,
     ) -> anyhow::Result<Plan> {
-        let [events] = header.shape.as_slice() else {
+        self.refuse_places(reading)?;
+        let Some(events) = one_side(&header.shape) else {
             return Err(self.error(entry, "a structured array must have one dimension"));
         };
+        let names = named.iter().map(|(name, ..)| name.as_str());
+        let Some(found) = find_names(names.clone(), given_names(reading)) else {
+            let names: Vec<&str> = names.take(24).collect();
+            let what = format!(
+                "the fields t, x, y, p are not all there, but {}: see --columns",
+                names.join(", ")
+            );
+            return Err(self.error(entry, what));
+        };
         let mut fields = Vec::new();
-        for names in NAMES {
-            let field = named
-                .iter()
-                .find(|(name, ..)| names.iter().any(|known| name.eq_ignore_ascii_case(known)));
-            let Some((_, offset, dtype)) = field else {
-                return Err(self.error(entry, "the fields t, x, y, p are not all there"));
+        for place in found.places {
+            let Some((_, offset, dtype)) = named.get(place) else {
+                continue;
             };
             let dtype = self.checked(entry, *dtype)?;
             fields.push(Field {
@@ -224,19 +273,46 @@ impl NpzFile {
             skip: header.bytes,
             record,
         };
-        self.finish_plan(vec![stream], &fields, *events, 1)
+        let plan = self.finish_plan(vec![stream], &fields, events, 1)?;
+        Ok(plan.with(&found))
     }
 
-    fn plan_table(&self, entry: &Entry, header: &NpyHeader, dtype: Dtype) -> anyhow::Result<Plan> {
+    fn plan_table(
+        &self,
+        entry: &Entry,
+        header: &NpyHeader,
+        dtype: Dtype,
+        reading: &Reading,
+    ) -> anyhow::Result<Plan> {
         let dtype = self.checked(entry, dtype)?;
-        let [events, 4] = *header.shape.as_slice() else {
-            return Err(self.error(entry, "the shape must be (N, 4), one row for every event"));
+        let wanted = match &reading.columns {
+            Some(Columns::Places { columns, .. }) => *columns,
+            Some(Columns::Names(_)) => {
+                let what = "the columns have no names: give --columns txyp, in their order";
+                return Err(self.error(entry, what));
+            }
+            None => 4,
         };
+        // Whether the columns are rows of the array, and so whether their numbers lie together.
+        let (events, is_turned) = match *header.shape.as_slice() {
+            [events, columns] if columns == wanted as u64 => (events, false),
+            [columns, events] if columns == wanted as u64 => (events, true),
+            _ => {
+                let shape: Vec<String> = header.shape.iter().map(u64::to_string).collect();
+                let what = format!(
+                    "the shape must be (N, {wanted}) or ({wanted}, N), one row or column for every event, but is \
+                     ({}): see --columns",
+                    shape.join(", ")
+                );
+                return Err(self.error(entry, what));
+            }
+        };
+        let are_together = header.fortran_order != is_turned;
         let column_bytes = events.checked_mul(dtype.bytes as u64);
         let mut streams = Vec::new();
         let mut fields = Vec::new();
-        for column in 0..4 {
-            if header.fortran_order {
+        for column in 0..wanted {
+            if are_together {
                 let before = column_bytes.and_then(|bytes| bytes.checked_mul(column as u64));
                 let skip = before.and_then(|bytes| bytes.checked_add(header.bytes));
                 let skip = skip.ok_or_else(|| self.error(entry, "the shape is too large"))?;
@@ -259,38 +335,47 @@ impl NpzFile {
                 });
             }
         }
-        if !header.fortran_order {
-            let record = 4 * dtype.bytes;
+        if !are_together {
+            let record = wanted * dtype.bytes;
             streams.push(StreamPlan {
                 entry: entry.clone(),
                 skip: header.bytes,
                 record,
             });
         }
+        if let Some(Columns::Places { places, .. }) = &reading.columns {
+            return self.finish_plan(streams, &in_order(&fields, *places), events, 1);
+        }
         let plan = self.finish_plan(streams, &fields, events, 1)?;
-        self.order_columns(plan)
+        self.order_columns(plan, reading)
     }
 
     /// Finds out which column of an (N, 4) array is what.
-    fn order_columns(&self, plan: Plan) -> anyhow::Result<Plan> {
-        let mut streams = self.streams(&plan)?;
-        let rows = fill(&mut streams, count(plan.events, SAMPLE_ROWS)).0;
-        let number = |row: usize, field: Field| streams.get(field.stream)?.number(row, field);
-        let sample: Vec<_> = (0..rows)
-            .map(|row| plan.fields.map(|field| number(row, field)))
-            .collect();
+    fn order_columns(&self, plan: Plan, reading: &Reading) -> anyhow::Result<Plan> {
+        let (rows, _) = self.first_rows(&plan, SAMPLE_ROWS)?;
         let Some(first) = plan.streams.first() else {
             return Ok(plan);
         };
-        let columns = column_order(&sample, self.stated_size()?).ok_or_else(|| {
-            let what = "the order of the four columns is unclear: save t, x, y, p";
+        let size = self.stated_size()?.or(reading.size);
+        let columns = column_order(&rows, size).ok_or_else(|| {
+            let what =
+                "the order of the four columns is unclear: give --columns txyp, in their order";
             self.error(&first.entry, what)
         })?;
-        let fields: Vec<Field> = columns
-            .iter()
-            .filter_map(|column| plan.fields.get(*column).copied())
-            .collect();
-        self.finish_plan(plan.streams, &fields, plan.events, plan.used)
+        let fields = in_order(&plan.fields, columns);
+        let mut plan = self.finish_plan(plan.streams, &fields, plan.events, plan.used)?;
+        plan.assumption = (!rows.is_empty()).then(|| order_taken(columns));
+        Ok(plan)
+    }
+
+    /// The first rows before a damage, `most` of them or fewer, and whether there are more.
+    pub fn first_rows(&self, plan: &Plan, most: usize) -> anyhow::Result<(Vec<Row>, bool)> {
+        let mut streams = self.streams(plan)?;
+        let wanted = count(plan.events, most);
+        let whole = fill(&mut streams, wanted).0;
+        let number = |row: usize, field: Field| streams.get(field.stream)?.number(row, field);
+        let rows = (0..whole).map(|row| plan.fields.map(|field| number(row, field)));
+        Ok((rows.collect(), plan.events > wanted as u64))
     }
 
     fn finish_plan(
@@ -303,20 +388,15 @@ impl NpzFile {
         let Some(fields) = fields.first_chunk::<4>().copied() else {
             anyhow::bail!("{}: byte 0: no arrays of events", self.name);
         };
-        let scalars = ["width", "height"]
-            .iter()
-            .filter(|name| self.find(&[name]).is_some());
-        let used = if streams.is_empty() {
-            used
-        } else {
-            used + scalars.count()
-        };
+        let [t, ..] = fields;
         Ok(Plan {
             streams,
             fields,
             events,
-            seconds: false,
+            times: Times::of(Some(t.dtype)),
             used,
+            assumption: None,
+            named_sensor: None,
         })
     }
 
@@ -338,85 +418,121 @@ impl NpzFile {
         plan.streams.iter().map(open).collect()
     }
 
-    /// Whether the times are floats of seconds.
-    pub fn times_in_seconds(&self, plan: &Plan) -> anyhow::Result<bool> {
-        let [t, ..] = plan.fields;
-        if !t.dtype.is_float() {
-            return Ok(false);
+    /// The size that arrays of up to three numbers state beside the events.
+    pub fn stated_size(&self) -> anyhow::Result<Option<Sensor>> {
+        let mut size = StatedSize::default();
+        let mut sides = 0;
+        let mut last = None;
+        for entry in self.size_entries() {
+            if let Some(numbers) = self.few(entry)? {
+                size.numbers(stem(entry), &numbers);
+            }
+            sides += usize::from(stem(entry).to_ascii_lowercase().ends_with("width"));
+            sides += usize::from(stem(entry).to_ascii_lowercase().ends_with("height"));
+            last = Some(entry);
         }
-        let mut streams = self.streams(plan)?;
-        let rows = fill(&mut streams, count(plan.events, SAMPLE_TIMES)).0;
-        let mut sample = TimeSample::default();
-        let stream = streams.get(t.stream);
-        for time in (0..rows).filter_map(|row| stream?.number(row, t)) {
-            sample.add(time.float().fract() == 0.0, time.float());
+        match (size.sensor(), last) {
+            (None, Some(entry)) if sides >= 2 => {
+                let most = Sensor::SIDE_MAX;
+                let what = format!("the sensor's side must be one whole number from 1 to {most}");
+                Err(self.error(entry, what))
+            }
+            (sensor, _) => Ok(sensor),
         }
-        Ok(sample.seconds())
     }
 
-    /// The scalars `width` and `height`.
-    pub fn stated_size(&self) -> anyhow::Result<Option<Sensor>> {
-        let (Some(width), Some(height)) = (self.find(&["width"]), self.find(&["height"])) else {
+    /// Arrays whose names are those of a size.
+    fn size_entries(&self) -> impl Iterator<Item = &Entry> {
+        let entries = self.entries.iter();
+        entries.filter(|entry| stated_size::is_known(stem(entry)))
+    }
+
+    /// How many arrays state the size.
+    pub fn sizes(&self) -> usize {
+        self.size_entries().count()
+    }
+
+    /// The numbers of an array of three of them at most.
+    fn few(&self, entry: &Entry) -> anyhow::Result<Option<Vec<f64>>> {
+        let header = self.header(entry)?;
+        let count = header
+            .shape
+            .iter()
+            .try_fold(1_u64, |all, side| all.checked_mul(*side));
+        let (Descr::Plain(dtype), Some(count @ 1..=3)) = (header.descr, count) else {
             return Ok(None);
         };
-        let side = |entry: &Entry| {
-            let header = self.header(entry)?;
-            let mut reader = self.entries.open(entry);
-            let mut value = [0; 8];
-            let scalar = header.shape.iter().all(|side| *side == 1);
-            let number = match header.descr {
-                Descr::Plain(dtype) if scalar && dtype.is_number() => {
-                    let slots = value.get_mut(..dtype.bytes).unwrap_or_default();
-                    let skip = &mut (&mut reader).take(header.bytes);
-                    let skipped = std::io::copy(skip, &mut std::io::sink());
-                    let read = skipped.and_then(|_| reader.read_exact(slots));
-                    read.map_err(|error| self.error(entry, error))?;
-                    dtype.number(&value).and_then(Number::whole)
-                }
-                _ => None,
-            };
-            let side = number.and_then(|side| u16::try_from(side).ok());
-            side.ok_or_else(|| self.error(entry, "the sensor's side must be one whole number"))
-        };
-        let (width_px, height_px) = (side(width)?, side(height)?);
-        let sensor = Sensor::new(width_px, height_px);
-        let wrong = || {
-            self.error(
-                width,
-                format!("sensor size {width_px}x{height_px} is out of range"),
-            )
-        };
-        sensor.map(Some).ok_or_else(wrong)
+        if !dtype.is_number() {
+            return Ok(None);
+        }
+        let mut reader = self.entries.open(entry);
+        let mut bytes = vec![0; count as usize * dtype.bytes];
+        let skipped = std::io::copy(&mut (&mut reader).take(header.bytes), &mut std::io::sink());
+        let read = skipped.and_then(|_| reader.read_exact(&mut bytes));
+        read.map_err(|error| self.error(entry, error))?;
+        let mut numbers = Vec::new();
+        dtype.numbers(&bytes, &mut numbers);
+        Ok(Some(
+            numbers.into_iter().flatten().map(Number::float).collect(),
+        ))
     }
 
     /// Size that holds every event.
-    pub fn largest(&self, plan: &Plan) -> anyhow::Result<Sensor> {
+    pub fn largest(&self, plan: &Plan, reading: &Reading) -> anyhow::Result<Sensor> {
         let mut streams = self.streams(plan)?;
-        let (mut width, mut height, mut left) = (0, 0, plan.events);
+        let mut extent = Extent::new(reading);
+        let mut left = plan.events;
         while left > 0 {
             // Damage is for the reader, which returns the events before it.
             let (rows, error) = fill(&mut streams, count(left, BATCH_EVENTS));
             for row in 0..rows {
-                let side = |field: Field| coordinate(streams.get(field.stream)?.number(row, field));
-                let (Some(x), Some(y)) = (side(plan.fields[X]), side(plan.fields[Y])) else {
-                    left = 0;
-                    break;
-                };
-                width = width.max(x + 1);
-                height = height.max(y + 1);
+                let [x, y] = [X, Y].map(|which| {
+                    let field = plan.fields[which];
+                    streams.get(field.stream)?.number(row, field)
+                });
+                if !extent.add(x, y) {
+                    return extent.sensor(&self.name);
+                }
             }
             left = left.saturating_sub(rows as u64);
             if error.is_some() {
                 break;
             }
         }
-        Sensor::new(width, height).ok_or_else(|| {
-            anyhow::anyhow!(
-                "{}: byte 0: no event, so no sensor size: give --width W --height H",
-                self.name
-            )
-        })
+        extent.sensor(&self.name)
     }
+}
+
+impl Plan {
+    /// With what the names of t, x, y and p say.
+    fn with(mut self, named: &Named) -> Self {
+        self.times.scale = self.times.scale.or(named.unit.map(Scale::from));
+        self.named_sensor = named.sensor;
+        self.assumption = names_taken(named);
+        self
+    }
+}
+
+/// An array's name without its ending.
+fn stem(entry: &Entry) -> &str {
+    entry.name.strip_suffix(".npy").unwrap_or(&entry.name)
+}
+
+/// The length of an array whose other sides are 1.
+fn one_side(shape: &[u64]) -> Option<u64> {
+    let mut others = shape.iter().filter(|side| **side != 1);
+    let only = match others.next() {
+        None if shape.is_empty() => return None,
+        None => 1,
+        Some(side) => *side,
+    };
+    others.next().is_none().then_some(only)
+}
+
+/// Those fields that `places` name.
+fn in_order(fields: &[Field], places: [usize; 4]) -> Vec<Field> {
+    let fields = places.iter().filter_map(|place| fields.get(*place));
+    fields.copied().collect()
 }
 
 /// `left`, at most `limit`.

@@ -1,12 +1,16 @@
 //! Which columns of a table, in an Arrow or Parquet file, are t, x, y and p, and what their numbers mean.
 
-use eecvs_nostd::{Event, Sensor};
+use eecvs_nostd::Sensor;
 
-use super::event_numbers::{self, Row, SAMPLE_TIMES, T, TimeUnit};
-use super::npy_header::{Dtype, Number};
-use super::reading;
-use super::text_layout::Header;
-use super::time_unit::TimeSample;
+use super::event_numbers::{Name, find_names, given_names, names_taken};
+use super::npy_header::Dtype;
+use super::reading::{self, Assumption, Reading};
+use super::row_events::{Scale, Times};
+use super::stated_size::{self, StatedSize};
+use super::time_unit;
+
+/// Keys of metadata that state the unit of the times.
+const UNIT_KEYS: [&str; 4] = ["time_unit", "t_unit", "units", "unit"];
 
 /// How a column's values are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,28 +38,40 @@ pub struct Columns {
     pub places: [usize; 4],
     /// How these are stored.
     pub stored: [Stored; 4],
-    /// Microseconds are times times 10 to this; `None` where the first times must tell.
-    shift: Option<i32>,
+    /// What the file says of its times.
+    pub times: Times,
     /// From names like `x@320`.
     pub sensor: Option<Sensor>,
+    /// How the columns were found, where that may be wrong.
+    pub assumption: Option<Assumption>,
 }
 
 impl Columns {
-    /// Finds t, x, y and p by their names, which are those of a text file's header.
+    /// Finds t, x, y and p: where the caller says, else by their names.
     ///
     /// # Errors
     /// What is missing or of a type that is not read.
-    pub fn find(schema: &[Named]) -> Result<Self, String> {
-        let names: Vec<&[u8]> = schema.iter().map(|column| column.name.as_bytes()).collect();
-        let header = Header::parse(&names).ok_or_else(|| {
-            let names: Vec<&str> = schema.iter().map(|column| column.name).take(24).collect();
-            format!(
-                "no columns t, x, y, p, once each, but {}: rename or drop columns",
-                names.join(", ")
-            )
-        })?;
-        let layout = header.layout();
-        let places = [layout.t, layout.x, layout.y, layout.p];
+    pub fn find(schema: &[Named], reading: &Reading) -> Result<Self, String> {
+        let names = || schema.iter().map(|column| column.name);
+        let named = find_names(names(), given_names(reading));
+        let places = match &reading.columns {
+            Some(reading::Columns::Places { places, columns }) if *columns == schema.len() => {
+                *places
+            }
+            Some(reading::Columns::Places { columns, .. }) => {
+                let count = schema.len();
+                return Err(format!(
+                    "--columns has {columns} columns, but the file {count}"
+                ));
+            }
+            _ => named.as_ref().map(|named| named.places).ok_or_else(|| {
+                let names: Vec<&str> = names().take(24).collect();
+                format!(
+                    "no columns t, x, y, p, but {}: see --columns",
+                    names.join(", ")
+                )
+            })?,
+        };
         let mut stored = [Stored::Bool; 4];
         for (slot, place) in stored.iter_mut().zip(places) {
             let column = schema.get(place).ok_or("no such column")?;
@@ -64,130 +80,100 @@ impl Columns {
                 format!("column {name} is of a type that is not read: cast it to int64")
             })?;
         }
-        let time = schema.get(layout.t);
-        let named = layout.unit.map(reading::TimeUnit::shift);
-        let is_float = matches!(stored[T], Stored::Number(dtype) if dtype.is_float());
-        let shift = time.and_then(|time| time.shift).or(named);
-        let sensor = header.sensor.and_then(|(width, height)| {
-            Sensor::new(width.try_into().ok()?, height.try_into().ok()?)
+        let [t, ..] = places;
+        let time = schema.get(t);
+        let named_unit = time.and_then(|time| Name::parse(time.name)?.unit);
+        let [stored_time, ..] = stored;
+        let mut times = Times::of(match stored_time {
+            Stored::Number(dtype) => Some(dtype),
+            Stored::Bool => None,
         });
+        let shift = time.and_then(|time| time.shift).map(Scale::shift);
+        times.scale = shift.or(named_unit.map(Scale::from));
         Ok(Self {
             places,
             stored,
-            // Whole numbers without a word about it are microseconds.
-            shift: shift.or((!is_float).then_some(0)),
-            sensor,
+            times,
+            sensor: named.as_ref().and_then(|named| named.sensor),
+            assumption: named.as_ref().and_then(names_taken),
         })
-    }
-
-    /// How many of the first times [`Columns::learn`] wants to see, if any.
-    pub fn sample(&self) -> Option<usize> {
-        self.shift.is_none().then_some(SAMPLE_TIMES)
-    }
-
-    /// Finds the unit of float times, seconds or microseconds, from the first of them.
-    pub fn learn(&mut self, times: impl Iterator<Item = Option<Number>>) {
-        let mut sample = TimeSample::default();
-        for time in times.flatten() {
-            sample.add(time.float().fract() == 0.0, time.float());
-        }
-        self.shift = Some(if sample.seconds() { 6 } else { 0 });
-    }
-
-    /// The time in us.
-    pub fn t_us(&self, time: Option<Number>) -> Option<u64> {
-        TimeUnit::default().us(self.scaled(time)?)
-    }
-
-    /// The time in us, rounded to the nearest; `None` beyond 2^63.
-    fn scaled(&self, time: Option<Number>) -> Option<Number> {
-        let shift = self.shift.unwrap_or(0);
-        let power = 10_i64.checked_pow(shift.unsigned_abs())?;
-        Some(match time? {
-            Number::Whole(time) if shift >= 0 => Number::Whole(time.checked_mul(power)?),
-            Number::Whole(time) => Number::Whole(
-                (time.div_euclid(power)) + i64::from(time.rem_euclid(power) * 2 >= power),
-            ),
-            // Seconds are scaled as other formats do it, so that they agree to the last bit.
-            Number::Float(time) if shift >= 0 => Number::Float(time * power as f64),
-            Number::Float(time) => Number::Float(time / power as f64),
-        })
-    }
-
-    /// The event of a row; else which of t, x, y and p is wrong, and how.
-    pub fn event(&self, row: &Row, sensor: Sensor) -> Result<Event, (usize, String)> {
-        let mut row = *row;
-        row[T] = Some(self.scaled(row[T]).ok_or_else(|| {
-            let what = "the time is above 2^63 us";
-            (T, what.to_owned())
-        })?);
-        event_numbers::event(&row, TimeUnit::default(), sensor)
     }
 }
 
-/// Size of the sensor that the metadata of a table states as `width` and `height`.
-pub fn stated_size<'a>(pairs: impl Iterator<Item = (&'a str, &'a str)>) -> Option<Sensor> {
-    let (mut width, mut height) = (None, None);
+/// Size of the sensor that the metadata of a table states, and the unit of its times.
+pub fn stated<'a>(
+    pairs: impl Iterator<Item = (&'a str, &'a str)>,
+) -> (Option<Sensor>, Option<Scale>) {
+    let mut size = StatedSize::default();
+    let mut scale = None;
     for (key, value) in pairs {
-        match key {
-            "width" => width = value.trim().parse().ok(),
-            "height" => height = value.trim().parse().ok(),
-            _ => {}
+        if stated_size::is_known(key) {
+            size.text(key, value);
+        }
+        if UNIT_KEYS.contains(&key) {
+            scale = time_unit::named(value).map(Scale::from);
         }
     }
-    Sensor::new(width?, height?)
+    (size.sensor(), scale)
+}
+
+/// Whether a key of the metadata is one that [`stated`] looks at.
+pub fn is_known_key(key: &str) -> bool {
+    stated_size::is_known(key) || UNIT_KEYS.contains(&key)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn columns(names: &[&str], time: u8, shift: Option<i32>) -> Result<Columns, String> {
+    fn columns(names: &[&str], shift: Option<i32>, how: Option<&str>) -> Result<Columns, String> {
         let schema: Vec<Named> = names
             .iter()
             .enumerate()
             .map(|(index, name)| Named {
                 name,
-                stored: Dtype::new(if index == 0 { time } else { b'u' }, false, 8)
-                    .map(Stored::Number),
+                stored: Dtype::new(b'i', false, 8).map(Stored::Number),
                 shift: shift.filter(|_| index == 0),
             })
             .collect();
-        Columns::find(&schema)
+        let columns = how.map(|how| reading::Columns::parse(how).unwrap());
+        let reading = Reading {
+            columns,
+            ..Reading::default()
+        };
+        Columns::find(&schema, &reading)
     }
 
     #[test]
     fn units_of_times() {
-        for (name, shift, time, us) in [
-            ("t", None, 1_500, 1_500),
-            ("timestamp_ns", None, 1_500, 2),
-            ("timestamp_ns", None, 1_499, 1),
-            ("t_s", None, 2, 2_000_000),
-            ("time", Some(-3), 2_000, 2),
-            ("t", Some(3), 7, 7_000),
+        for (name, shift, want) in [
+            ("t", None, None),
+            ("timestamp_ns", None, Some(Scale::shift(-3))),
+            ("t_s", None, Some(Scale::shift(6))),
+            ("time", Some(-3), Some(Scale::shift(-3))),
+            ("t_s", Some(3), Some(Scale::shift(3))),
         ] {
-            let found = columns(&[name, "x", "y", "polarity"], b'i', shift).unwrap();
-            assert_eq!(found.t_us(Some(Number::Whole(time))), Some(us), "{name}");
+            let found = columns(&[name, "x", "y", "polarity"], shift, None).unwrap();
+            assert_eq!(found.times.scale, want, "{name}");
         }
-        let found = columns(&["ts", "xs", "ys", "ps"], b'i', Some(6)).unwrap();
-        assert_eq!(found.t_us(Some(Number::Whole(i64::MAX))), None);
-        assert_eq!(found.t_us(Some(Number::Whole(-1))), None);
     }
 
     #[test]
-    fn floats_are_seconds_or_microseconds() {
-        let mut found = columns(&["t", "x", "y", "p"], b'f', None).unwrap();
-        assert!(found.sample().is_some());
-        found.learn([0.0, 0.25].map(|t| Some(Number::Float(t))).into_iter());
-        assert_eq!(found.t_us(Some(Number::Float(0.25))), Some(250_000));
-        found.learn((0..20).map(|t| Some(Number::Float(f64::from(t)))));
-        assert_eq!(found.t_us(Some(Number::Float(7.0))), Some(7));
-    }
-
-    #[test]
-    fn what_is_missing_is_said() {
-        let error = columns(&["t", "x", "y", "colour"], b'i', None).unwrap_err();
-        assert!(error.contains("colour"), "{error}");
-        assert!(columns(&["t", "x", "y", "p", "time"], b'i', None).is_err());
+    fn columns_are_named_or_placed() {
+        let names = ["time", "col", "row", "sign", "t"];
+        let error = columns(&names, None, None).unwrap_err();
+        assert!(
+            error.contains("sign") && error.contains("--columns"),
+            "{error}"
+        );
+        let found = columns(&names, None, Some("t=time,x=col,y=row,p=sign")).unwrap();
+        assert_eq!(found.places, [0, 1, 2, 3]);
+        let found = columns(&names, None, Some("-xypt")).unwrap();
+        assert_eq!(found.places, [4, 1, 2, 3]);
+        assert!(columns(&names, None, Some("txyp")).is_err());
+        // Two that could be t: the likelier one, and that is said.
+        let found = columns(&["time", "x", "y", "p", "t"], None, None).unwrap();
+        assert_eq!(found.places, [4, 1, 2, 3]);
+        assert!(found.assumption.unwrap().why.contains("time"));
     }
 }

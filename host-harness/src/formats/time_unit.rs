@@ -8,7 +8,8 @@
 //!   to 2096. Where no unit does, the user is asked.
 //! * Where half of the gaps between the first 4,096 times are so long that no camera is so slow, the user is
 //!   asked: 1 s and more (of 16 gaps at the least, of 8 where floats were taken for seconds), or 0.1 s and
-//!   more (of 100 gaps). The median, unlike the mean, is not moved by a stale stamp or a pause.
+//!   more (of 100 gaps). Whole floats that would be
+//!   so far apart in seconds are microseconds. The median, unlike the mean, is not moved by a stale stamp or a pause.
 
 use super::reading::TimeUnit;
 
@@ -95,15 +96,24 @@ pub fn unstated(times: &[f64], whole: bool) -> Result<Taken, String> {
     if most > beyond {
         return since_1970(times, most, unit);
     }
-    let slow = if unit == TimeUnit::S {
-        SLOW_FLOATS
-    } else {
-        SLOW
+    let is_slow = |unit: TimeUnit, gap: f64| {
+        let slow = if unit == TimeUnit::S {
+            SLOW_FLOATS
+        } else {
+            SLOW
+        };
+        let mut slow = slow.iter();
+        slow.any(|(least, gap_s)| times.len() > *least && in_seconds(gap, unit) >= *gap_s)
     };
     let gap = median_gap(times);
-    let speaks =
-        |(least, gap_s): &(usize, f64)| times.len() > *least && in_seconds(gap, unit) >= *gap_s;
-    if slow.iter().any(speaks) {
+    let all_whole = times.iter().all(|time| time.fract() == 0.0);
+    if unit == TimeUnit::S && is_slow(unit, gap) && all_whole && !is_slow(TimeUnit::Us, gap) {
+        return Ok(Taken {
+            unit: TimeUnit::Us,
+            why: "whole numbers that are too far apart for seconds; --time-unit s|ms|ns says otherwise".to_owned(),
+        });
+    }
+    if is_slow(unit, gap) {
         let shorter = UNITS.iter().skip_while(|other| **other != unit).skip(1);
         let named: Vec<&str> = shorter.map(|unit| unit.name()).collect();
         return Err(format!(
@@ -221,6 +231,7 @@ mod tests {
             (9e4, 5000, true, Some(TimeUnit::Us)),
             (16.25, 10, false, None),
             (16.25, 8, false, Some(TimeUnit::S)),
+            (500.0, 10, false, Some(TimeUnit::Us)),
             (1e-4, 5000, false, Some(TimeUnit::S)),
             (0.0, 5000, true, Some(TimeUnit::Us)),
         ] {

@@ -3,7 +3,7 @@
 //! The crate `zip` finds the entries, but lends its source to one entry at a time; columns of an
 //! npz must be read in step. So each entry gets its own view of the source and its own inflater.
 
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufReader, Read, SeekFrom};
 use std::sync::{Arc, Mutex};
 
 use flate2::Crc;
@@ -16,61 +16,93 @@ use super::section::{Section, Shared};
 /// Bytes read from the source at once.
 const BUFFER_BYTES: usize = 1 << 15;
 
-/// The entries of a zip file.
+/// The entries of a zip file, or files that are read as such.
 pub struct Entries {
-    source: Shared,
     entries: Vec<Entry>,
 }
 
 /// Where an entry lies.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Entry {
     /// Its name.
     pub name: String,
     /// Offset of its first byte in the zip file.
     pub start: u64,
+    source: Shared,
     stored: u64,
-    size: u64,
-    crc: u32,
+    /// Its bytes, unpacked.
+    pub size: u64,
+    /// CRC-32, of entries of zip files.
+    crc: Option<u32>,
     deflated: bool,
+    /// Why it cannot be read.
+    problem: Option<String>,
 }
 
 impl Entries {
-    /// Reads the directory. Encrypted entries and methods other than deflate are an error.
+    /// Reads the directory. Encrypted entries and methods other than deflate are an error where they are read.
     ///
     /// # Errors
     /// What is wrong with the file.
     pub fn read(source: Box<dyn ReadSeek>) -> Result<Self, String> {
         let mut archive = zip::ZipArchive::new(source).map_err(|error| error.to_string())?;
-        let mut entries = Vec::new();
+        let mut found = Vec::new();
         for index in 0..archive.len() {
             let file = archive
                 .by_index_raw(index)
                 .map_err(|error| error.to_string())?;
             let name = file.name().map_err(|error| error.to_string())?.into_owned();
-            let deflated = match file.compression() {
-                _ if file.encrypted() => return Err(format!("{name} is encrypted")),
-                CompressionMethod::Stored => false,
-                CompressionMethod::Deflated => true,
-                other => return Err(format!("{name} is packed with {other}: use numpy's savez")),
+            let (deflated, problem) = match file.compression() {
+                _ if file.encrypted() => (false, Some("encrypted".to_owned())),
+                CompressionMethod::Stored => (false, None),
+                CompressionMethod::Deflated => (true, None),
+                other => (
+                    false,
+                    Some(format!("packed with {other}: pack it with deflate")),
+                ),
             };
             let start = file
                 .data_start()
                 .ok_or_else(|| format!("{name} has no data"))?;
             let (stored, size, crc) = (file.compressed_size(), file.size(), file.crc32());
+            found.push((name, start, stored, size, crc, deflated, problem));
+        }
+        let source: Shared = Arc::new(Mutex::new(archive.into_inner()));
+        let entry = |(name, start, stored, size, crc, deflated, problem)| Entry {
+            name,
+            start,
+            source: Arc::clone(&source),
+            stored,
+            size,
+            crc: Some(crc),
+            deflated,
+            problem,
+        };
+        Ok(Self {
+            entries: found.into_iter().map(entry).collect(),
+        })
+    }
+
+    /// Files by their names, each as an entry that is not packed.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn files(files: Vec<(String, Box<dyn ReadSeek>)>) -> io::Result<Self> {
+        let mut entries = Vec::new();
+        for (name, mut source) in files {
+            let size = source.seek(SeekFrom::End(0))?;
             entries.push(Entry {
                 name,
-                start,
-                stored,
+                start: 0,
+                source: Arc::new(Mutex::new(source)),
+                stored: size,
                 size,
-                crc,
-                deflated,
+                crc: None,
+                deflated: false,
+                problem: None,
             });
         }
-        Ok(Self {
-            source: Arc::new(Mutex::new(archive.into_inner())),
-            entries,
-        })
+        Ok(Self { entries })
     }
 
     /// Every entry.
@@ -80,7 +112,7 @@ impl Entries {
 
     /// Reads an entry from its start.
     pub fn open(&self, entry: &Entry) -> EntryReader {
-        let section = Section::new(&self.source, entry.start, entry.stored);
+        let section = Section::new(&entry.source, entry.start, entry.stored);
         let section = BufReader::with_capacity(BUFFER_BYTES, section);
         let data = if entry.deflated {
             Data::Deflated(Box::new(DeflateDecoder::new(section)))
@@ -92,6 +124,7 @@ impl Entries {
             crc: Crc::new(),
             want: entry.crc,
             left: entry.size,
+            problem: entry.problem.clone(),
         }
     }
 }
@@ -105,19 +138,23 @@ enum Data {
 pub struct EntryReader {
     data: Data,
     crc: Crc,
-    want: u32,
+    want: Option<u32>,
     left: u64,
+    problem: Option<String>,
 }
 
 impl EntryReader {
     /// Whether every byte has been read and the CRC-32 says that some of them are wrong.
     pub fn is_damaged(&self) -> bool {
-        self.left == 0 && self.crc.sum() != self.want
+        self.left == 0 && self.want.is_some_and(|want| self.crc.sum() != want)
     }
 }
 
 impl Read for EntryReader {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        if let Some(problem) = &self.problem {
+            return Err(io::Error::other(format!("the entry is {problem}")));
+        }
         let room = usize::try_from(self.left)
             .unwrap_or(usize::MAX)
             .min(bytes.len());
@@ -135,7 +172,9 @@ impl Read for EntryReader {
                 "the entry is truncated",
             ));
         }
-        self.crc.update(bytes.get(..read).unwrap_or_default());
+        if self.want.is_some() {
+            self.crc.update(bytes.get(..read).unwrap_or_default());
+        }
         self.left -= read as u64;
         Ok(read)
     }

@@ -136,11 +136,13 @@ pub fn drain(reader: &mut dyn EventReader) -> (Vec<Event>, Option<anyhow::Error>
 }
 
 /// Opens bytes and reads them; an error of opening counts as an error before the first event.
+#[allow(dead_code, reason = "not every test file reads bytes")]
 pub fn read(bytes: &[u8], size: Option<Sensor>) -> (Vec<Event>, Option<anyhow::Error>) {
     read_as("test", bytes, size)
 }
 
 /// As [`read`], of a file of that name, which tells some formats.
+#[allow(dead_code, reason = "not every test file reads bytes")]
 pub fn read_as(
     name: &str,
     bytes: &[u8],

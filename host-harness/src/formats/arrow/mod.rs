@@ -8,19 +8,21 @@
 //! not compressed.
 //!
 //! * Columns t, x, y, p, named as in a text file's header line, of any integers or floats, p also of bool;
-//!   other columns are left out. Values must not be missing.
+//!   other columns are left out. `--columns` names or places them. They may be places in a dictionary of
+//!   numbers, or of texts such as ON and OFF.
 //! * t: of a type with a unit (timestamp, duration, time) or with a unit in its name in that one, rounded to
-//!   microseconds; else as in npz files: integers are microseconds, floats are judged by the first 4,096.
-//! * p: 1 or true is on; 0, -1 or false is off.
-//! * The sensor's size: the schema's metadata `width` and `height`; else the caller's; else from names like
+//!   microseconds; else [`super::time_unit`] has the rule. [`super::row_events`] has those for clocks that
+//!   wrap, polarities, and events that cannot be one, such as those with a missing value.
+//! * The sensor's size: the schema's metadata `width` and `height`, `resolution` and the like; else the caller's; else from names like
 //!   `x@320`; else the largest x and y plus one, by a first pass.
 //!
-//! Messages are read from front to back, so that what is before a damage is given; the footer is not needed.
+//! Messages are read from front to back, so that what is before a damage is given; the footer is not needed, but where it alone has the schema, as in polars' files.
 //! Seeking reads the first time of every batch. Columns are read in step, some kilobytes of each.
 
 mod schema;
 mod writer;
 
+use std::collections::HashMap;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -30,14 +32,18 @@ use ruzstd::decoding::StreamingDecoder;
 
 pub use self::writer::ArrowWriter;
 
-use self::schema::{Codec, Message, RecordBatch, Schema};
+use self::schema::{Codec, Dictionary, Items, Message, RecordBatch, Schema};
 use self::writer::STREAM_ENDING;
-use crate::formats::event_numbers::{NAMES, Row, T, X, Y, coordinate};
+use crate::formats::event_numbers::{Row, SHORT, T, X, Y};
 use crate::formats::format::{Format, Limits, Opening, Start};
 use crate::formats::input::{Batch, Decode, ReadSeek, Reader};
-use crate::formats::npy_header::Number;
+use crate::formats::npy_header::{Dtype, Number};
+use crate::formats::reading::{Assumption, Reading};
+use crate::formats::row_events::{Base, Extent, RowEvents};
 use crate::formats::section::{Section, Shared};
-use crate::formats::table_columns::{Columns, Named, Stored, stated_size};
+use crate::formats::table_columns::{Columns, Named, Stored, stated};
+use crate::formats::text_layout;
+use crate::formats::time_unit::SAMPLE_TIMES;
 use crate::formats::{BATCH_EVENTS, Skipped};
 
 /// First and last bytes of a file.
@@ -58,6 +64,10 @@ const METADATA_MAX: u32 = 16 << 20;
 /// Bytes of a column that are read at once.
 const BUFFER_BYTES: usize = 1 << 15;
 
+/// Most values of a dictionary, and most bytes of its texts.
+const DICTIONARY_MAX: usize = 1 << 22;
+const TEXTS_MAX: u64 = 64 << 20;
+
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
     name: "arrow",
@@ -69,7 +79,7 @@ pub const FORMAT: Format = Format {
                name,
                reading,
                ..
-           }| Ok(Box::new(ArrowReader::new(source, name, reading.size)?)),
+           }| Ok(Box::new(ArrowReader::new(source, name, &reading)?)),
     has_places: false,
     grows: false,
     limits: Limits::NONE,
@@ -88,24 +98,21 @@ fn is_arrow(start: &Start) -> bool {
 pub type ArrowReader = Reader<ArrowDecoder>;
 
 impl ArrowReader {
-    /// Reads `source`, which messages call `name`; `size` counts where the file states none.
+    /// Reads `source`, which messages call `name`; `reading` says what the file does not.
     ///
     /// # Errors
     /// No Arrow file, no columns t, x, y, p of numbers, no size and no event.
-    pub fn new(
-        source: Box<dyn ReadSeek>,
-        name: &str,
-        size: Option<Sensor>,
-    ) -> anyhow::Result<Self> {
-        let mut decoder = ArrowDecoder::open(source, name)?;
+    pub fn new(source: Box<dyn ReadSeek>, name: &str, reading: &Reading) -> anyhow::Result<Self> {
+        let mut decoder = ArrowDecoder::open(source, name, reading)?;
         let start = decoder.position;
-        decoder.learn()?;
+        let sample = decoder.sample();
         decoder.rewind(start);
+        decoder.numbers = decoder.numbers(reading, &sample)?;
         let named = decoder.columns.sensor;
-        decoder.sensor = match decoder.stated.or(size).or(named) {
+        decoder.numbers.sensor = match decoder.stated.or(reading.size).or(named) {
             Some(sensor) => sensor,
             None => {
-                let sensor = decoder.largest()?;
+                let sensor = decoder.largest(reading)?;
                 decoder.rewind(start);
                 sensor
             }
@@ -127,10 +134,11 @@ pub struct ArrowDecoder {
     columns: Columns,
     /// Size that the metadata states.
     stated: Option<Sensor>,
-    sensor: Sensor,
+    numbers: RowEvents,
+    /// Values of dictionaries that have been met.
+    dictionaries: HashMap<i64, Arc<Vec<Number>>>,
     rows: Option<Rows>,
     events: u64,
-    skipped: Skipped,
 }
 
 /// A record batch being read.
@@ -145,13 +153,67 @@ struct Rows {
 struct Values {
     reader: Box<dyn Read + Send>,
     stored: Stored,
-    /// Of bits: the byte they are in, and how many of it are left.
-    bits: (u8, u32),
+    bits: Bits,
+    /// Which values are there, where some are missing.
+    present: Option<(Box<dyn Read + Send>, Bits)>,
+    /// What the values are places in.
+    dictionary: Option<Arc<Vec<Number>>>,
+}
+
+/// The byte that the next bits are in, and how many of it are left.
+#[derive(Default)]
+struct Bits {
+    byte: u8,
+    left: u32,
+}
+
+impl Bits {
+    fn next(&mut self, reader: &mut dyn Read) -> std::io::Result<bool> {
+        if self.left == 0 {
+            let mut next = [0];
+            if let (_, Some(error)) = fill(reader, &mut next) {
+                return Err(error);
+            }
+            (self.byte, self.left) = (next[0], 8);
+        }
+        let bit = self.byte & 1 == 1;
+        self.byte >>= 1;
+        self.left -= 1;
+        Ok(bit)
+    }
 }
 
 impl Values {
-    /// The next `count` numbers, or as many as there are before an error.
+    /// The next `count` numbers, or as many as there are before an error; a missing one is NaN.
     fn take(&mut self, count: usize) -> (Vec<Option<Number>>, Option<std::io::Error>) {
+        let (mut numbers, mut error) = self.take_stored(count);
+        if let Some(dictionary) = &self.dictionary {
+            for number in &mut numbers {
+                let place = number
+                    .and_then(Number::whole)
+                    .and_then(|place| usize::try_from(place).ok());
+                *number = place.and_then(|place| dictionary.get(place)).copied();
+            }
+        }
+        if let Some((reader, bits)) = &mut self.present {
+            let mut known = 0;
+            for number in &mut numbers {
+                match bits.next(reader.as_mut()) {
+                    Ok(true) => {}
+                    Ok(false) => *number = Some(Number::Float(f64::NAN)),
+                    Err(other) => {
+                        error = Some(other);
+                        break;
+                    }
+                }
+                known += 1;
+            }
+            numbers.truncate(known);
+        }
+        (numbers, error)
+    }
+
+    fn take_stored(&mut self, count: usize) -> (Vec<Option<Number>>, Option<std::io::Error>) {
         let mut numbers = Vec::with_capacity(count);
         match self.stored {
             Stored::Number(dtype) => {
@@ -162,17 +224,10 @@ impl Values {
             }
             Stored::Bool => {
                 while numbers.len() < count {
-                    let (byte, left) = &mut self.bits;
-                    if *left == 0 {
-                        let mut next = [0];
-                        if let (_, Some(error)) = fill(&mut self.reader, &mut next) {
-                            return (numbers, Some(error));
-                        }
-                        (*byte, *left) = (next[0], 8);
+                    match self.bits.next(self.reader.as_mut()) {
+                        Ok(bit) => numbers.push(Some(Number::Whole(bit.into()))),
+                        Err(error) => return (numbers, Some(error)),
                     }
-                    numbers.push(Some(Number::Whole(i64::from(*byte & 1))));
-                    *byte >>= 1;
-                    *left -= 1;
                 }
                 (numbers, None)
             }
@@ -199,7 +254,7 @@ fn fill(reader: &mut dyn Read, bytes: &mut [u8]) -> (usize, Option<std::io::Erro
 }
 
 impl ArrowDecoder {
-    fn open(mut source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<Self> {
+    fn open(mut source: Box<dyn ReadSeek>, name: &str, reading: &Reading) -> anyhow::Result<Self> {
         let length = source.seek(SeekFrom::End(0));
         let length =
             length.map_err(|error| anyhow::anyhow!("{name}: byte 0: cannot be sought: {error}"))?;
@@ -212,7 +267,8 @@ impl ArrowDecoder {
             !magic.starts_with(FEATHER_1),
             "{name}: byte 0: Feather 1 is not read: write it again by pyarrow.feather.write_feather"
         );
-        let is_file = magic.starts_with(MAGIC);
+        let mut is_file = magic.starts_with(MAGIC);
+        let mut length = length;
         let source: Shared = Arc::new(Mutex::new(source));
         let mut place = Place {
             source: &source,
@@ -220,10 +276,33 @@ impl ArrowDecoder {
             length,
             position: if is_file { START_BYTES } else { 0 },
         };
-        let Some((Message::Schema(schema), body, start)) = place.message()? else {
-            return Err(place.error("no schema comes first: not an Arrow file, or a damaged one"));
+        let start = place.position;
+        let schema = match place.message() {
+            Ok(Some((Message::Schema(schema), body, _))) => {
+                place.position += body;
+                schema
+            }
+            // polars writes the schema into the footer alone.
+            other if is_file => {
+                place.position = start;
+                let Some((schema, first, at)) = place.footer() else {
+                    other?;
+                    place.position = start;
+                    return Err(place.error(
+                        "no schema comes first, nor is one in the footer: truncated or damaged",
+                    ));
+                };
+                place.position = first;
+                (length, is_file) = (at, false);
+                schema
+            }
+            other => {
+                other?;
+                return Err(
+                    place.error("no schema comes first: not an Arrow file, or a damaged one")
+                );
+            }
         };
-        place.position += body;
         let position = place.position;
         let named: Vec<Named> = schema
             .columns
@@ -235,11 +314,21 @@ impl ArrowDecoder {
             })
             .collect();
         let at_start = |what: String| anyhow::anyhow!("{name}: byte {start}: {what}");
-        let columns = Columns::find(&named).map_err(at_start)?;
-        let mut skipped = Skipped::default();
-        skipped.add("other columns", (named.len() - columns.places.len()) as u64);
+        let mut columns = Columns::find(&named, reading).map_err(at_start)?;
+        for (which, place) in columns.places.into_iter().enumerate() {
+            // Of places in a dictionary, the type is that of the places.
+            let column = schema.columns.get(place);
+            if let (T, Some((_, items))) = (which, column.and_then(|column| column.dictionary)) {
+                columns.times.is_u32 = false;
+                columns.times.is_float =
+                    matches!(items, Items::Numbers(Stored::Number(dtype)) if dtype.is_float());
+            }
+        }
         let metadata = schema.metadata.iter();
-        let stated = stated_size(metadata.map(|(key, value)| (key.as_str(), value.as_str())));
+        let (stated, scale) = stated(metadata.map(|(key, value)| (key.as_str(), value.as_str())));
+        columns.times.scale = columns.times.scale.or(scale);
+        let numbers = RowEvents::new(reading, columns.times, Base::default(), &[]);
+        let numbers = numbers.map_err(at_start)?;
         Ok(Self {
             source: Arc::clone(&source),
             name: name.to_owned(),
@@ -250,13 +339,10 @@ impl ArrowDecoder {
             schema,
             columns,
             stated,
-            sensor: Sensor {
-                width: 1,
-                height: 1,
-            },
+            numbers,
+            dictionaries: HashMap::new(),
             rows: None,
             events: 0,
-            skipped,
         })
     }
 
@@ -273,6 +359,17 @@ impl ArrowDecoder {
         self.position = position;
         self.rows = None;
         self.events = 0;
+        self.numbers.rewind();
+    }
+
+    /// What makes events of rows that begin with `sample`.
+    fn numbers(&self, reading: &Reading, sample: &[Row]) -> anyhow::Result<RowEvents> {
+        let numbers = RowEvents::new(reading, self.columns.times, Base::default(), sample);
+        let mut numbers = numbers.map_err(|what| self.error(self.first, what))?;
+        numbers.assumptions.extend(self.columns.assumption.clone());
+        let others = self.schema.columns.len() - self.columns.places.len();
+        numbers.skipped.add("other columns", others as u64);
+        Ok(numbers)
     }
 
     fn error(&self, at: u64, what: impl std::fmt::Display) -> anyhow::Error {
@@ -292,11 +389,124 @@ impl ArrowDecoder {
             };
             let body_at = place.position;
             self.position = body_at.saturating_add(body);
-            if let Message::Batch(batch) = message {
-                self.rows = Some(self.open_rows(&batch, start, body_at, body)?);
-                return Ok(true);
+            match message {
+                Message::Batch(batch) => {
+                    self.rows = Some(self.open_rows(&batch, start, body_at, body)?);
+                    return Ok(true);
+                }
+                Message::Dictionary(dictionary) => {
+                    self.take_dictionary(&dictionary, start, (body_at, body))?;
+                }
+                _ => {}
             }
         }
+    }
+
+    /// Keeps the values of a dictionary that t, x, y or p refers to.
+    fn take_dictionary(
+        &mut self,
+        dictionary: &Dictionary,
+        start: u64,
+        body: (u64, u64),
+    ) -> anyhow::Result<()> {
+        let columns = self
+            .columns
+            .places
+            .iter()
+            .filter_map(|place| self.schema.columns.get(*place));
+        let mut known = columns.filter_map(|column| column.dictionary);
+        let Some((_, items)) = known.find(|(id, _)| *id == dictionary.id) else {
+            return Ok(());
+        };
+        let values = self.items(dictionary, items, body);
+        let values = values.map_err(|what| self.error(start, format!("a dictionary: {what}")))?;
+        let all = self.dictionaries.entry(dictionary.id).or_default();
+        if dictionary.is_more {
+            let all = Arc::make_mut(all);
+            all.extend(values);
+            if all.len() > DICTIONARY_MAX {
+                return Err(self.error(
+                    start,
+                    "a dictionary has too many values: write plain columns",
+                ));
+            }
+        } else {
+            *all = Arc::new(values);
+        }
+        Ok(())
+    }
+
+    /// The values of a dictionary.
+    fn items(
+        &self,
+        dictionary: &Dictionary,
+        items: Items,
+        body: (u64, u64),
+    ) -> Result<Vec<Number>, String> {
+        let batch = &dictionary.batch;
+        let rows = usize::try_from(batch.rows)
+            .ok()
+            .filter(|rows| *rows <= DICTIONARY_MAX);
+        let rows = rows.ok_or("it has too many values: write plain columns")?;
+        if batch.nulls.first().is_some_and(|nulls| *nulls > 0) {
+            return Err("a value is missing: write plain columns".to_owned());
+        }
+        let open = |buffer: usize| {
+            let place = batch.buffers.get(buffer).copied();
+            self.buffer(place.ok_or("it is not there")?, body, batch.codec)
+        };
+        let numbers =
+            |stored: Stored, buffer: usize, count: usize| -> Result<Vec<Option<Number>>, String> {
+                let mut values = Values {
+                    reader: open(buffer)?,
+                    stored,
+                    bits: Bits::default(),
+                    present: None,
+                    dictionary: None,
+                };
+                let (numbers, error) = values.take(count);
+                match error {
+                    Some(error) => Err(error.to_string()),
+                    None => Ok(numbers),
+                }
+            };
+        let too_large = || "a number above 2^63".to_owned();
+        match items {
+            Items::Numbers(stored) => {
+                let numbers = numbers(stored, 1, rows)?.into_iter();
+                numbers.map(|number| number.ok_or_else(too_large)).collect()
+            }
+            Items::Texts(bytes) => {
+                let dtype = Dtype::new(b'i', false, bytes).ok_or("unknown texts")?;
+                let ends = numbers(Stored::Number(dtype), 1, rows + 1)?;
+                let ends = ends
+                    .into_iter()
+                    .map(|end| usize::try_from(end?.whole()?).ok());
+                let ends: Option<Vec<usize>> = ends.collect();
+                let ends = ends.ok_or("damaged texts")?;
+                let mut letters = Vec::new();
+                let read = open(2)?.take(TEXTS_MAX).read_to_end(&mut letters);
+                read.map_err(|error| error.to_string())?;
+                let texts = ends.iter().zip(ends.iter().skip(1));
+                texts
+                    .map(|(start, end)| item(letters.get(*start..*end).ok_or("damaged texts")?))
+                    .collect()
+            }
+        }
+    }
+
+    /// A buffer of a message's body, unpacked.
+    fn buffer(
+        &self,
+        (at, length): (u64, u64),
+        (body_at, body): (u64, u64),
+        codec: Codec,
+    ) -> Result<Box<dyn Read + Send>, String> {
+        if at.checked_add(length).is_none_or(|end| end > body) {
+            return Err("it lies outside of its batch: damaged".to_owned());
+        }
+        let section = Section::new(&self.source, body_at.saturating_add(at), length);
+        unpacked(section, codec)
     }
 
     fn open_rows(
@@ -306,29 +516,39 @@ impl ArrowDecoder {
         body_at: u64,
         body: u64,
     ) -> anyhow::Result<Rows> {
-        let open = |which: usize| {
-            let name = NAMES.get(which).and_then(|names| names.first());
-            let name = name.copied().unwrap_or_default();
+        let open = |which: usize| -> anyhow::Result<Values> {
+            let name = SHORT.get(which).copied().unwrap_or_default();
             let error = |what: &str| self.error(start, format!("column {name}: {what}"));
             let place = self.columns.places.get(which).copied().unwrap_or_default();
             let (node, buffer) = self.schema.position(place).ok_or_else(|| {
                 error("it is behind a column of a type that is not read: drop that")
             })?;
             let nulls = batch.nulls.get(node).copied();
-            if nulls.ok_or_else(|| error("it is not in the batch"))? > 0 {
-                return Err(error("values are missing: drop those rows"));
-            }
-            let (at, length) = batch.buffers.get(buffer).copied().unwrap_or_default();
-            if at.checked_add(length).is_none_or(|end| end > body) {
-                return Err(error("it lies outside of its batch: damaged"));
-            }
-            let section = Section::new(&self.source, body_at.saturating_add(at), length);
-            let reader = unpacked(section, batch.codec).map_err(|what| error(&what))?;
+            let nulls = nulls.ok_or_else(|| error("it is not in the batch"))?;
+            let open = |buffer: usize| {
+                let place = batch.buffers.get(buffer).copied().unwrap_or_default();
+                let reader = self.buffer(place, (body_at, body), batch.codec);
+                reader.map_err(|what| error(&what))
+            };
+            let present = match nulls {
+                0 => None,
+                _ => Some((open(buffer.saturating_sub(1))?, Bits::default())),
+            };
+            let column = self.schema.columns.get(place);
+            let dictionary = match column.and_then(|column| column.dictionary) {
+                None => None,
+                Some((id, _)) => {
+                    let known = self.dictionaries.get(&id).cloned();
+                    Some(known.ok_or_else(|| error("its dictionary is not there: damaged"))?)
+                }
+            };
             let stored = self.columns.stored.get(which).copied();
             Ok(Values {
-                reader,
+                reader: open(buffer)?,
                 stored: stored.unwrap_or(Stored::Bool),
-                bits: (0, 0),
+                bits: Bits::default(),
+                present,
+                dictionary,
             })
         };
         Ok(Rows {
@@ -367,53 +587,41 @@ impl ArrowDecoder {
         Ok((rows, ended))
     }
 
-    /// Finds the unit of float times by the first of them.
-    fn learn(&mut self) -> anyhow::Result<()> {
-        let Some(count) = self.columns.sample() else {
-            return Ok(());
-        };
-        let mut times = Vec::new();
-        while times.len() < count {
-            // Damage is for the reader, which returns the events before it.
-            let Ok((rows, ended)) = self.read_rows(count - times.len()) else {
+    /// The first rows; damage is for the reader, which returns the events before it.
+    fn sample(&mut self) -> Vec<Row> {
+        let mut sample = Vec::new();
+        while sample.len() < SAMPLE_TIMES {
+            let Ok((rows, ended)) = self.read_rows(SAMPLE_TIMES - sample.len()) else {
                 break;
             };
-            times.extend(rows.iter().map(|row| row[T]));
-            if rows.is_empty() || ended.is_some() {
+            let is_end = rows.is_empty() || ended.is_some();
+            sample.extend(rows);
+            if is_end {
                 break;
             }
         }
-        self.columns.learn(times.into_iter());
-        Ok(())
+        sample
     }
 
     /// Size that holds every event before the first that is damaged.
-    fn largest(&mut self) -> anyhow::Result<Sensor> {
-        let (mut width, mut height) = (0, 0);
+    fn largest(&mut self, reading: &Reading) -> anyhow::Result<Sensor> {
+        let mut extent = Extent::new(reading);
         'all: loop {
             let (rows, ended) = match self.read_rows(BATCH_EVENTS) {
                 Ok(read) => read,
-                Err(error) if width == 0 => return Err(error),
+                Err(error) if extent.is_empty() => return Err(error),
                 Err(_) => break,
             };
             for row in &rows {
-                let (Some(x), Some(y)) = (coordinate(row[X]), coordinate(row[Y])) else {
+                if !extent.add(row[X], row[Y]) {
                     break 'all;
-                };
-                width = width.max(x + 1);
-                height = height.max(y + 1);
+                }
             }
             if rows.is_empty() || ended.is_some() {
                 break;
             }
         }
-        Sensor::new(width, height).ok_or_else(|| {
-            let name = &self.name;
-            anyhow::anyhow!(
-                "{name}: byte {}: no event, so no sensor size: give --width W --height H",
-                self.position
-            )
-        })
+        extent.sensor(&self.name)
     }
 
     /// Place and first event of the last batch that begins before `t_us`, or of the first one; batches behind
@@ -429,13 +637,38 @@ impl ArrowDecoder {
             }
             let (times, _) = rows.columns[T].take(1);
             let first = times.first().copied().flatten();
-            if self.columns.t_us(first).is_none_or(|first| first >= t_us) {
+            if self.numbers.t_us(first).is_none_or(|first| first >= t_us) {
                 break;
             }
             found = (rows.start, events);
             events = events.saturating_add(rows.left);
         }
         found
+    }
+}
+
+/// A text of a dictionary as a number: a polarity, or the number that it spells.
+fn item(text: &[u8]) -> Result<Number, String> {
+    if let Some(on) = text_layout::polarity(text) {
+        // -1 and 0 must not be mixed up.
+        return Ok(Number::Whole(if text.starts_with(b"-") {
+            -1
+        } else {
+            on.into()
+        }));
+    }
+    let text = String::from_utf8_lossy(text);
+    let number = text.trim().parse().map(Number::Whole);
+    let number = number.or_else(|_| text.trim().parse().map(Number::Float));
+    number.map_err(|_| format!("{} is no number and no polarity", text.escape_debug()))
+}
+
+/// The schema of a message, behind its length; `None` where it is none.
+pub fn schema_of_message(bytes: &[u8]) -> Option<Schema> {
+    let rest = bytes.strip_prefix(&CONTINUATION).unwrap_or(bytes);
+    match schema::message(rest.get(4..)?)? {
+        (Message::Schema(schema), _) => Some(schema),
+        _ => None,
     }
 }
 
@@ -474,6 +707,31 @@ struct Place<'a> {
 impl Place<'_> {
     fn error(&self, what: impl std::fmt::Display) -> anyhow::Error {
         anyhow::anyhow!("{}: byte {}: {what}", self.name, self.position)
+    }
+
+    /// The schema in a file's footer, where the first of the messages begins that it lists, and where it begins
+    /// itself.
+    fn footer(&mut self) -> Option<(Schema, u64, u64)> {
+        let start = self.position;
+        let end = self.length.checked_sub(10)?;
+        self.position = end;
+        let tail = self.bytes(10).ok()?;
+        let (size, magic) = tail.split_first_chunk()?;
+        let size = u32::from_le_bytes(*size);
+        if magic != MAGIC || size > METADATA_MAX {
+            return None;
+        }
+        let at = end
+            .checked_sub(size.into())
+            .filter(|at| *at >= START_BYTES)?;
+        self.position = at;
+        let bytes = self.bytes(size as usize).ok();
+        self.position = start;
+        let (schema, first) = schema::footer(&bytes?)?;
+        let first = first.unwrap_or(at);
+        (START_BYTES..=at)
+            .contains(&first)
+            .then_some((schema, first, at))
     }
 
     fn bytes(&mut self, count: usize) -> anyhow::Result<Vec<u8>> {
@@ -543,14 +801,21 @@ impl Decode for ArrowDecoder {
     }
 
     fn sensor(&self) -> Sensor {
-        self.sensor
+        self.numbers.sensor
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.numbers.assumptions
     }
 
     fn skipped(&self) -> &Skipped {
-        &self.skipped
+        &self.numbers.skipped
     }
 
     fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
+        if self.numbers.may_wrap() {
+            return Ok(false);
+        }
         let (position, events) = self.batch_before(t_us);
         self.rewind(position);
         self.events = events;
@@ -562,11 +827,10 @@ impl Decode for ArrowDecoder {
             let (rows, ended) = self.read_rows(batch.room())?;
             let start = self.rows.as_ref().map_or(0, |rows| rows.start);
             for row in &rows {
-                match self.columns.event(row, self.sensor) {
-                    Ok(event) => batch.push(event),
+                match self.numbers.event(row) {
+                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
                     Err((which, what)) => {
-                        let name = NAMES.get(which).and_then(|names| names.first());
-                        let name = name.copied().unwrap_or_default();
+                        let name = SHORT.get(which).copied().unwrap_or_default();
                         return Err(self.error(start, format!("column {name}: {what}")));
                     }
                 }

@@ -18,7 +18,9 @@ pub enum Message {
     Schema(Schema),
     /// Rows.
     Batch(RecordBatch),
-    /// Anything else: dictionaries, tensors.
+    /// Values that columns name by their places.
+    Dictionary(Dictionary),
+    /// Anything else: tensors.
     Other,
 }
 
@@ -38,8 +40,29 @@ pub struct Column {
     pub stored: Option<Stored>,
     /// Of a time with a unit: microseconds are its values times 10 to this.
     pub shift: Option<i32>,
+    /// Of places in a dictionary: the dictionary's number, and what it holds.
+    pub dictionary: Option<(i64, Items)>,
     /// Nodes and buffers that it has in a batch; `None` where batches differ.
     extent: Option<(usize, usize)>,
+}
+
+/// What the values of a dictionary are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Items {
+    /// Numbers.
+    Numbers(Stored),
+    /// Texts, whose places are numbers of so many bytes.
+    Texts(usize),
+}
+
+/// A dictionary's message.
+pub struct Dictionary {
+    /// Its number, which columns refer to.
+    pub id: i64,
+    /// Its values, as a column.
+    pub batch: RecordBatch,
+    /// Whether they follow those that are there already.
+    pub is_more: bool,
 }
 
 /// How the buffers of a batch are compressed.
@@ -72,10 +95,38 @@ pub fn message(bytes: &[u8]) -> Option<(Message, u64)> {
     let kind = buffer.u8(root, 1, 0)?;
     let message = match kind {
         1 => Message::Schema(schema(buffer, buffer.table(root, 2)??)?),
+        2 => Message::Dictionary(dictionary(buffer, buffer.table(root, 2)??)?),
         3 => Message::Batch(batch(buffer, buffer.table(root, 2)??)?),
         _ => Message::Other,
     };
     Some((message, body))
+}
+
+/// The schema that a file's footer repeats, and where the first of the messages begins that it lists, if any;
+/// `None` where it is damaged.
+pub fn footer(bytes: &[u8]) -> Option<(Schema, Option<u64>)> {
+    let (buffer, root) = Buffer::plain(bytes)?;
+    let schema = schema(buffer, buffer.table(root, 1)??)?;
+    let mut first: Option<u64> = None;
+    // Dictionaries, batches: blocks of offset, metadata's bytes, body's bytes.
+    for field in [2, 3] {
+        let blocks = buffer.vector(root, field)?;
+        buffer.holds(blocks.start, blocks.len.checked_mul(24)?)?;
+        for index in 0..blocks.len {
+            let at = i64::from_le_bytes(buffer.bytes(blocks.start + 24 * index)?);
+            let at = u64::try_from(at).ok()?;
+            first = Some(first.map_or(at, |first| first.min(at)));
+        }
+    }
+    Some((schema, first))
+}
+
+fn dictionary(buffer: Buffer, table: Table) -> Option<Dictionary> {
+    Some(Dictionary {
+        id: buffer.i64(table, 0, 0)?,
+        batch: batch(buffer, buffer.table(table, 1)??)?,
+        is_more: buffer.u8(table, 2, 0)? != 0,
+    })
 }
 
 fn schema(buffer: Buffer, table: Table) -> Option<Schema> {
@@ -112,16 +163,11 @@ fn pairs(buffer: Buffer, vector: Vector) -> Option<Vec<(String, String)>> {
 fn column(buffer: Buffer, field: Table) -> Option<Column> {
     let kind = buffer.u8(field, 2, 0)?;
     let of = buffer.table(field, 3)?;
-    let is_dictionary = buffer.table(field, 4)?.is_some();
+    let encoding = buffer.table(field, 4)?;
     let number = |kind, bytes| Dtype::new(kind, false, bytes).map(Stored::Number);
     let power = |unit: i16| Some(6 - 3 * i32::from(unit));
     let (stored, shift) = match (kind, of) {
-        _ if is_dictionary => (None, None),
-        (INT, Some(of)) => {
-            let bytes = usize::try_from(buffer.i32(of, 0, 0)?).ok()? / 8;
-            let is_signed = buffer.u8(of, 1, 0)? != 0;
-            (number(if is_signed { b'i' } else { b'u' }, bytes), None)
-        }
+        (INT, Some(of)) => (integer(buffer, of)?, None),
         (FLOAT, Some(of)) => {
             let bytes = match buffer.i16(of, 0, 0)? {
                 0 => 2,
@@ -139,12 +185,41 @@ fn column(buffer: Buffer, field: Table) -> Option<Column> {
         }
         _ => (None, None),
     };
+    let items = match kind {
+        UTF8 => Some(Items::Texts(4)),
+        LARGE_UTF8 => Some(Items::Texts(8)),
+        _ => stored.map(Items::Numbers),
+    };
+    let (stored, dictionary) = match encoding {
+        None => (stored, None),
+        Some(encoding) => {
+            let places = match buffer.table(encoding, 1)? {
+                Some(of) => integer(buffer, of)?,
+                None => number(b'i', 4),
+            };
+            let id = buffer.i64(encoding, 0, 0)?;
+            let dictionary = items.map(|items| (id, items));
+            (places.filter(|_| dictionary.is_some()), dictionary)
+        }
+    };
     Some(Column {
         name: buffer.string(field, 0)?.to_owned(),
         stored,
         shift,
+        dictionary,
         extent: extent(buffer, field, DEPTH_MAX)?,
     })
+}
+
+/// The type of integers.
+fn integer(buffer: Buffer, of: Table) -> Option<Option<Stored>> {
+    let bytes = usize::try_from(buffer.i32(of, 0, 0)?).ok()? / 8;
+    let kind = if buffer.u8(of, 1, 0)? != 0 {
+        b'i'
+    } else {
+        b'u'
+    };
+    Some(Dtype::new(kind, false, bytes).map(Stored::Number))
 }
 
 // Numbers of types in the union `Type`.

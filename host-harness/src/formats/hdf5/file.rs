@@ -5,17 +5,26 @@ use std::sync::{Arc, Mutex};
 
 use eecvs_nostd::Sensor;
 use hdf5_reader::{
-    BlockCacheStorage, Dataset, Datatype, H5Type, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem,
-    Storage, StorageBuffer, error::Error,
+    Attribute, BlockCacheStorage, Dataset, Datatype, H5Type, Hdf5File, OpenOptions, SliceInfo,
+    SliceInfoElem, Storage, StorageBuffer, error::Error,
 };
 
 use super::filters;
-use crate::formats::event_numbers::{NAMES, Row};
+use crate::formats::event_numbers::{Row, find_names};
 use crate::formats::input::ReadSeek;
 use crate::formats::npy_header::{Dtype, Number};
+use crate::formats::reading::TimeUnit;
+use crate::formats::stated_size::{self, StatedSize};
+use crate::formats::time_unit;
 
 /// First bytes of a file, or what follows a user block of 512 bytes times a power of two.
 pub const MAGIC: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
+
+/// First bytes of MATLAB's files of `-v7.3`, in front of HDF5's own.
+const MATLAB: &[u8; 10] = b"MATLAB 7.3";
+
+/// Attributes that state the unit of the times.
+const UNIT_KEYS: [&str; 4] = ["units", "unit", "time_unit", "t_unit"];
 
 /// Bytes read at once where the file's own structures are, and how many such pieces are kept.
 const BLOCK_BYTES: usize = 1 << 16;
@@ -70,6 +79,7 @@ pub struct Hdf5 {
     name: String,
     file: Hdf5File,
     length: u64,
+    is_matlab: bool,
 }
 
 impl Hdf5 {
@@ -80,6 +90,9 @@ impl Hdf5 {
         let length = source
             .seek(SeekFrom::End(0))
             .map_err(|error| damaged(error.into()))?;
+        let mut start = [0; MATLAB.len()];
+        let begins = source.rewind().and_then(|()| source.read_exact(&mut start));
+        let is_matlab = begins.is_ok() && &start == MATLAB;
         let source = Mutex::new(source);
         let storage =
             BlockCacheStorage::new(Arc::new(Source { source, length }), BLOCK_BYTES, BLOCKS);
@@ -91,7 +104,12 @@ impl Hdf5 {
         let file =
             Hdf5File::from_storage_with_options(Arc::new(storage), options).map_err(damaged)?;
         let name = name.to_owned();
-        Ok(Self { name, file, length })
+        Ok(Self {
+            name,
+            file,
+            length,
+            is_matlab,
+        })
     }
 
     /// Name for messages.
@@ -161,21 +179,84 @@ impl Hdf5 {
         }
     }
 
-    /// Size that attributes of the root state: `width` and `height`, or Prophesee's `geometry`, `1280x720`.
-    pub fn stated_size(&self) -> Option<Sensor> {
-        let root = self.file.root_group().ok()?;
-        let side = |name| {
-            let number = root.attribute(name).ok()?.read_as_f64().ok()?;
-            (number.fract() == 0.0 && number >= 1.0 && number <= f64::from(u16::MAX))
-                .then_some(number as u16)
-        };
-        let geometry = || {
-            let text = root.attribute("geometry").ok()?.read_string().ok()?;
-            let (width, height) = text.split_once('x')?;
-            Some((width.trim().parse().ok()?, height.trim().parse().ok()?))
-        };
-        let sides = side("width").zip(side("height")).or_else(geometry);
-        sides.and_then(|(width, height)| Sensor::new(width, height))
+    /// Size that attributes or small datasets state beside the events, whose dataset or group is at `place`, or
+    /// in the root; and how many datasets state it.
+    pub fn stated_size(&self, place: &str) -> (Option<Sensor>, usize) {
+        let mut size = StatedSize::default();
+        let mut used = 0;
+        let above = place.rsplit_once('/').map_or("", |(above, _)| above);
+        for group in [place, above, ""] {
+            for attribute in self.attributes(group) {
+                let name = attribute.name.as_str();
+                if !stated_size::is_known(name) {
+                    continue;
+                }
+                if let Ok(text) = attribute.read_string() {
+                    size.text(name, &text);
+                }
+                let numbers = attribute.read_1d::<Cell>().or_else(|_| {
+                    let scalar = attribute.read_scalar::<Cell>();
+                    scalar.map(|cell| vec![cell])
+                });
+                let numbers = numbers
+                    .unwrap_or_default()
+                    .into_iter()
+                    .filter_map(|Cell(number)| number);
+                size.numbers(name, &numbers.map(Number::float).collect::<Vec<_>>());
+            }
+            let (_, names) = self.members(group);
+            for name in names.iter().filter(|name| stated_size::is_known(name)) {
+                if let Some(numbers) = self.few(&join(group, name)) {
+                    size.numbers(name, &numbers);
+                    used += 1;
+                }
+            }
+            if group.is_empty() {
+                break;
+            }
+        }
+        (size.sensor(), used)
+    }
+
+    /// The numbers of a dataset of three of them at most.
+    fn few(&self, path: &str) -> Option<Vec<f64>> {
+        let dataset = self.dataset(path).ok()??;
+        let count = dataset
+            .shape()
+            .iter()
+            .try_fold(1_u64, |all, side| all.checked_mul(*side))?;
+        let dtype = number_type(dataset.dtype()).filter(|_| count <= 3)?;
+        let bytes = dataset.read_raw_bytes().ok()?;
+        let mut numbers = Vec::new();
+        dtype.numbers(&bytes, &mut numbers);
+        Some(numbers.into_iter().flatten().map(Number::float).collect())
+    }
+
+    /// Attributes of the dataset or group at `path`.
+    fn attributes(&self, path: &str) -> Vec<Attribute> {
+        if path.is_empty() {
+            let root = self.file.root_group().and_then(|root| root.attributes());
+            return root.unwrap_or_default();
+        }
+        match self.file.dataset(path) {
+            Ok(dataset) => dataset.attributes(),
+            Err(_) => {
+                let group = self.file.group(path).and_then(|group| group.attributes());
+                group.unwrap_or_default()
+            }
+        }
+    }
+
+    /// The unit that an attribute `units` of one of these states.
+    pub fn stated_unit(&self, paths: &[&str]) -> Option<TimeUnit> {
+        let all = paths.iter().flat_map(|path| self.attributes(path));
+        let mut units = all.filter(|attribute| UNIT_KEYS.contains(&attribute.name.as_str()));
+        units.find_map(|attribute| time_unit::named(&attribute.read_string().ok()?))
+    }
+
+    /// Whether MATLAB wrote the file.
+    pub fn is_matlab(&self) -> bool {
+        self.is_matlab
     }
 
     /// Bytes of the file.
@@ -244,24 +325,26 @@ pub fn number_type(datatype: &Datatype) -> Option<Dtype> {
     Dtype::new(kind, big_endian(order), usize::from(bytes))
 }
 
-/// The places and types of t, x, y and p in a compound; `None` where one of them is missing.
-pub fn fields(datatype: &Datatype) -> Option<[(usize, Dtype); 4]> {
+/// Offset and type of a field of a compound.
+pub type Field = (usize, Dtype);
+
+/// The places and types of t, x, y and p in a compound, of their usual names or of those that were given, and
+/// the unit that the name of t states; `None` where one of them is missing.
+pub fn fields(
+    datatype: &Datatype,
+    given: Option<&[String; 4]>,
+) -> Option<([Field; 4], Option<TimeUnit>)> {
     let Datatype::Compound { fields, .. } = datatype else {
         return None;
     };
-    let find = |names: &[&str]| {
-        let field = fields.iter().find(|field| {
-            names
-                .iter()
-                .any(|known| field.name.eq_ignore_ascii_case(known))
-        })?;
-        Some((
-            usize::try_from(field.byte_offset).ok()?,
-            number_type(&field.datatype)?,
-        ))
-    };
-    let [t, x, y, p] = NAMES.map(find);
-    Some([t?, x?, y?, p?])
+    let names = fields.iter().map(|field| field.name.as_str());
+    let found = find_names(names, given)?;
+    let [t, x, y, p] = found.places.map(|place| {
+        let field = fields.get(place)?;
+        let offset = usize::try_from(field.byte_offset).ok()?;
+        Some((offset, number_type(&field.datatype)?))
+    });
+    Some(([t?, x?, y?, p?], found.unit))
 }
 
 /// A number of a dataset, of whatever type it is there.
@@ -319,7 +402,7 @@ impl H5Type for Record {
     }
 
     fn from_bytes(bytes: &[u8], datatype: &Datatype) -> Result<Self, Error> {
-        let fields = fields(datatype).ok_or_else(no_number)?;
+        let (fields, _) = fields(datatype, None).ok_or_else(no_number)?;
         Ok(Self::of(bytes, &fields))
     }
 
@@ -332,11 +415,31 @@ impl H5Type for Record {
         datatype: &Datatype,
         count: usize,
     ) -> Option<Result<Vec<Self>, Error>> {
-        let (Some(fields), size @ 1..) = (fields(datatype), Self::element_size(datatype)) else {
+        let (Some((fields, _)), size @ 1..) =
+            (fields(datatype, None), Self::element_size(datatype))
+        else {
             return Some(Err(no_number()));
         };
         let records = raw.chunks_exact(size).take(count);
         Some(Ok(records.map(|bytes| Self::of(bytes, &fields)).collect()))
+    }
+}
+
+/// A record as its bytes, whose fields are named by the caller.
+#[derive(Clone)]
+struct Bytes(Vec<u8>);
+
+impl H5Type for Bytes {
+    fn hdf5_type() -> Datatype {
+        Record::hdf5_type()
+    }
+
+    fn from_bytes(bytes: &[u8], _datatype: &Datatype) -> Result<Self, Error> {
+        Ok(Self(bytes.to_vec()))
+    }
+
+    fn element_size(datatype: &Datatype) -> usize {
+        Record::element_size(datatype)
     }
 }
 
@@ -352,28 +455,70 @@ fn rows(start: u64, count: u64) -> SliceInfoElem {
     }
 }
 
-/// `count` numbers of a dataset of one dimension.
+/// `count` numbers of a dataset of one dimension, whose other dimensions may be of length 1.
 pub fn read_column(
     dataset: &Dataset,
     start: u64,
     count: u64,
 ) -> Result<Vec<Option<Number>>, Error> {
-    let selections = vec![rows(start, count)];
+    let long = dataset
+        .shape()
+        .iter()
+        .position(|side| *side != 1)
+        .unwrap_or(0);
+    let sides = 0..dataset.shape().len().max(1);
+    let selections = sides.map(|side| {
+        if side == long {
+            rows(start, count)
+        } else {
+            rows(0, 1)
+        }
+    });
+    let selections = selections.collect();
     let cells = dataset.read_slice::<Cell>(&SliceInfo { selections })?;
     Ok(cells.into_iter().map(|Cell(number)| number).collect())
 }
 
-/// `count` rows of a dataset of shape (N, 4), in the file's order of columns.
-pub fn read_table(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<Row>, Error> {
-    let selections = vec![rows(start, count), rows(0, 4)];
+/// `count` rows of a dataset of shape (N, columns) or, turned, (columns, N): the columns at `order`.
+pub fn read_table(
+    dataset: &Dataset,
+    start: u64,
+    count: u64,
+    (columns, is_turned): (usize, bool),
+    order: [usize; 4],
+) -> Result<Vec<Row>, Error> {
+    let (long, short) = (rows(start, count), rows(0, columns as u64));
+    let selections = if is_turned {
+        vec![short, long]
+    } else {
+        vec![long, short]
+    };
     let cells = dataset.read_slice::<Cell>(&SliceInfo { selections })?;
     let numbers: Vec<Option<Number>> = cells.into_iter().map(|Cell(number)| number).collect();
-    Ok(numbers.as_chunks::<4>().0.to_vec())
+    let found = numbers.len() / columns.max(1);
+    let (step, far) = if is_turned { (1, found) } else { (columns, 1) };
+    let row = |index: usize| {
+        order.map(|column| numbers.get(index * step + column * far).copied().flatten())
+    };
+    Ok((0..found).map(row).collect())
 }
 
-/// t, x, y, p of `count` records of a dataset of compounds.
-pub fn read_records(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<Row>, Error> {
+/// t, x, y, p of `count` records of a dataset of compounds, whose fields may have been named by the caller.
+pub fn read_records(
+    dataset: &Dataset,
+    start: u64,
+    count: u64,
+    given: Option<&[String; 4]>,
+) -> Result<Vec<Row>, Error> {
     let selections = vec![rows(start, count)];
-    let records = dataset.read_slice::<Record>(&SliceInfo { selections })?;
-    Ok(records.into_iter().map(|Record(row)| row).collect())
+    if given.is_none() {
+        let records = dataset.read_slice::<Record>(&SliceInfo { selections })?;
+        return Ok(records.into_iter().map(|Record(row)| row).collect());
+    }
+    let (fields, _) = fields(dataset.dtype(), given).ok_or_else(no_number)?;
+    let records = dataset.read_slice::<Bytes>(&SliceInfo { selections })?;
+    Ok(records
+        .into_iter()
+        .map(|Bytes(bytes)| Record::of(&bytes, &fields).0)
+        .collect())
 }

@@ -7,13 +7,17 @@ use hdf5_reader::{Dataset, Datatype, error::Error};
 use super::file::{Hdf5, fields, join, number_type, plain, read_column, read_records, read_table};
 use crate::formats::BATCH_EVENTS;
 use crate::formats::event_numbers::{
-    NAMES, P, Row, SAMPLE_ROWS, SAMPLE_TIMES, T, TimeUnit, X, Y, column_order, coordinate,
+    P, Row, SAMPLE_ROWS, T, X, Y, column_order, find_names, given_names, names_taken, order_taken,
 };
+use crate::formats::mat::Range;
 use crate::formats::npy_header::{Dtype, Number};
-use crate::formats::time_unit::TimeSample;
+use crate::formats::reading::{Assumption, Columns, Reading, TimeUnit};
+use crate::formats::row_events::{Base, Extent, RowEvents, Scale, Times};
+use crate::formats::time_unit::SAMPLE_TIMES;
 
 /// Where events are looked for, in this order: tables and compounds, or groups of columns.
-const PLACES: [&str; 7] = [
+const PLACES: [&str; 8] = [
+    "TD",
     "davis/left/events",
     "davis/right/events",
     "events",
@@ -26,6 +30,9 @@ const PLACES: [&str; 7] = [
 /// Group of MVSEC's cameras, whose tables have the columns x, y, t, p.
 const MVSEC: &str = "davis/";
 const MVSEC_ORDER: [usize; 4] = [2, 0, 1, 3];
+
+/// Where DDD17 and DDD20 have their packets.
+const DDD: &str = "dvs/data";
 
 /// MVSEC's cameras, mDAVIS-346B: the files do not tell.
 const MVSEC_SENSOR: Sensor = Sensor {
@@ -40,10 +47,12 @@ const EXPANSION_MAX: u64 = 1100;
 enum Source {
     /// t, x, y, p, a dataset each.
     Columns(Box<[Dataset; 4]>),
-    /// Shape (N, 4); the columns that hold t, x, y, p.
-    Table(Box<Dataset>, [usize; 4]),
-    /// Compounds with fields of these names.
-    Records(Box<Dataset>),
+    /// Shape (N, columns), or turned; the columns that hold t, x, y, p.
+    Table(Box<Dataset>, (usize, bool), [usize; 4]),
+    /// Compounds with fields of these names, or of those that the caller gave.
+    Records(Box<Dataset>, Option<Box<[String; 4]>>),
+    /// snnTorch's times, and x, y, p of shape (N, 3).
+    Addresses(Box<[Dataset; 2]>),
 }
 
 /// Where the numbers of the events are.
@@ -51,8 +60,12 @@ pub struct Plan {
     source: Source,
     /// Number of events.
     pub events: u64,
+    /// Where they are.
+    pub place: String,
     /// What the times are.
-    pub unit: TimeUnit,
+    pub times: Times,
+    /// How the columns were found, where that may be wrong.
+    pub assumption: Option<Assumption>,
     /// DSEC's `ms_to_idx`: the first event of every millisecond after the offset.
     milliseconds: Option<Box<Dataset>>,
     /// Size that the data set's cameras have.
@@ -64,10 +77,10 @@ pub struct Plan {
 impl Plan {
     /// Finds the events: at `place` if the user named one, else at the first of [`PLACES`] where
     /// there are some; `size` helps to tell the columns of a table apart.
-    pub fn find(file: &Hdf5, place: Option<&str>, size: Option<Sensor>) -> anyhow::Result<Self> {
+    pub fn find(file: &Hdf5, place: Option<&str>, reading: &Reading) -> anyhow::Result<Self> {
         if let Some(place) = place {
-            let plan = match Self::at(file, place, size)? {
-                None => Self::at(file, &join(place, "events"), size)?,
+            let plan = match Self::at(file, place, reading)? {
+                None => Self::at(file, &join(place, "events"), reading)?,
                 found => found,
             };
             return plan.with_context(|| {
@@ -76,9 +89,16 @@ impl Plan {
             });
         }
         for place in PLACES {
-            if let Some(plan) = Self::at(file, place, size)? {
+            if let Some(plan) = Self::at(file, place, reading)? {
                 return Ok(plan);
             }
+        }
+        if file.dataset(DDD)?.is_some() {
+            anyhow::bail!(
+                "{}: byte 0: raw packets of a DAVIS camera at {DDD}, as in DDD17 and DDD20, which are not read: \
+                 write columns t, x, y, p by the data set's own tools (ddd20-utils)",
+                file.name()
+            );
         }
         anyhow::bail!(
             "{}: byte 0: no events at davis/left/events, no events/x, y, t, p, no table or compound \
@@ -89,33 +109,49 @@ impl Plan {
     }
 
     /// The events at `place`, if there are some.
-    fn at(file: &Hdf5, place: &str, size: Option<Sensor>) -> anyhow::Result<Option<Self>> {
+    fn at(file: &Hdf5, place: &str, reading: &Reading) -> anyhow::Result<Option<Self>> {
         let dataset = if place.is_empty() {
             None
         } else {
             file.dataset(place)?
         };
-        let source = match dataset {
-            None => columns(file, place)?,
-            Some(dataset) => Some(Self::whole(file, place, dataset, size)?),
+        let found = match dataset {
+            None => match columns(file, place, reading)? {
+                None => addresses(file, place)?,
+                found => found,
+            },
+            Some(dataset) => Some(Self::whole(file, place, dataset, reading)?),
         };
-        let Some(source) = source else {
+        let Some(Found {
+            source,
+            unit,
+            assumption,
+        }) = found
+        else {
             return Ok(None);
         };
         let (events, used) = match &source {
             Source::Columns(columns) => (columns.iter().map(count).max().unwrap_or(0), 4),
-            Source::Table(dataset, _) | Source::Records(dataset) => (count(dataset), 1),
+            Source::Table(dataset, (_, true), _) => {
+                (dataset.shape().get(1).copied().unwrap_or(0), 1)
+            }
+            Source::Table(dataset, ..) => (dataset.shape().first().copied().unwrap_or(0), 1),
+            Source::Records(dataset, _) => (count(dataset), 1),
+            Source::Addresses(both) => (both.first().map_or(0, count), 2),
         };
         let mut plan = Self {
             source,
             events,
-            unit: TimeUnit::default(),
+            place: place.to_owned(),
+            times: Times::default(),
+            assumption,
             milliseconds: None,
             sensor: place.starts_with(MVSEC).then_some(MVSEC_SENSOR),
             used,
         };
         plan.check_size(file)?;
-        plan.unit.seconds = plan.times_in_seconds(file)?;
+        plan.times = Times::of(plan.time_type());
+        plan.times.scale = plan.stated_unit(file).or(unit).map(Scale::from);
         plan.add_offset(file)?;
         Ok(Some(plan))
     }
@@ -125,36 +161,78 @@ impl Plan {
         file: &Hdf5,
         place: &str,
         dataset: Dataset,
-        size: Option<Sensor>,
-    ) -> anyhow::Result<Source> {
+        reading: &Reading,
+    ) -> anyhow::Result<Found> {
+        let given = given_names(reading);
         if let Datatype::Compound { .. } = dataset.dtype() {
-            let known = fields(dataset.dtype()).is_some() && dataset.shape().len() == 1;
-            return if known {
-                Ok(Source::Records(Box::new(dataset)))
-            } else {
-                let what = "the compound has no fields t, x, y, p of numbers, in one dimension";
-                Err(file.error(&dataset, what))
+            let by_places = matches!(reading.columns, Some(Columns::Places { .. }));
+            let known =
+                fields(dataset.dtype(), given).filter(|_| dataset.shape().len() == 1 && !by_places);
+            let Some((_, unit)) = known else {
+                let what = "the compound has no fields t, x, y, p of numbers, in one dimension, or others than \
+                            --columns t=NAME,x=NAME,y=NAME,p=NAME says";
+                return Err(file.error(&dataset, what));
             };
+            return Ok(Found {
+                source: Source::Records(Box::new(dataset), given.cloned().map(Box::new)),
+                unit,
+                assumption: None,
+            });
         }
-        let (&[events, 4], Some(_)) = (dataset.shape(), number_type(dataset.dtype())) else {
-            let what = "the events must be of shape (N, 4) and numbers, or compounds t, x, y, p";
+        if given.is_some() {
+            let what = "the columns have no names: give --columns txyp, in their order";
+            return Err(file.error(&dataset, what));
+        }
+        let wanted = match &reading.columns {
+            Some(Columns::Places { columns, .. }) => *columns,
+            _ => 4,
+        };
+        // MATLAB's matrices lie turned, and may be square.
+        let turned = |[a, b]: [u64; 2]| {
+            let wanted = wanted as u64;
+            if a == wanted && (b != wanted || file.is_matlab()) {
+                Some((b, true))
+            } else {
+                (b == wanted).then_some((a, false))
+            }
+        };
+        let sides = dataset
+            .shape()
+            .first_chunk::<2>()
+            .filter(|_| dataset.shape().len() == 2);
+        let shape = sides.and_then(|sides| turned(*sides));
+        let (Some((events, is_turned)), Some(_)) = (shape, number_type(dataset.dtype())) else {
+            let what = format!(
+                "the events must be of shape (N, {wanted}) or ({wanted}, N) and numbers, or compounds t, x, y, p: \
+                 see --columns"
+            );
             return Err(file.error(&dataset, what));
         };
+        let shape = (wanted, is_turned);
+        let table = |dataset: Dataset, order, assumption| Found {
+            source: Source::Table(Box::new(dataset), shape, order),
+            unit: None,
+            assumption,
+        };
+        if let Some(Columns::Places { places, .. }) = &reading.columns {
+            return Ok(table(dataset, *places, None));
+        }
         if place.starts_with(MVSEC) {
-            return Ok(Source::Table(Box::new(dataset), MVSEC_ORDER));
+            return Ok(table(dataset, MVSEC_ORDER, None));
         }
         let sample = before_damage(events.min(SAMPLE_ROWS as u64), |count| {
-            read_table(&dataset, 0, count)
+            read_table(&dataset, 0, count, shape, [0, 1, 2, 3])
         })
         .map_err(|error| file.error(&dataset, plain(&error)))?;
         let order = if sample.is_empty() {
             Some(MVSEC_ORDER)
         } else {
-            column_order(&sample, size)
+            column_order(&sample, reading.size)
         };
-        let what = "the order of the four columns is unclear: save t, x, y, p";
+        let what = "the order of the four columns is unclear: give --columns txyp, in their order";
         let order = order.ok_or_else(|| file.error(&dataset, what))?;
-        Ok(Source::Table(Box::new(dataset), order))
+        let taken = (!sample.is_empty()).then(|| order_taken(order));
+        Ok(table(dataset, order, taken))
     }
 
     /// Refuses a dataset that the file is too short for: one without data stands for zeros.
@@ -162,12 +240,11 @@ impl Plan {
         let most = file.length().saturating_mul(EXPANSION_MAX);
         for dataset in self.datasets() {
             let bytes = hdf5_reader::dtype_element_size(dataset.dtype()).unwrap_or(0) as u64;
-            let columns = dataset.shape().get(1).copied().unwrap_or(1);
-            let all = count(dataset)
-                .checked_mul(bytes)
-                .and_then(|bytes| bytes.checked_mul(columns));
+            let sides = dataset.shape().iter();
+            let mut sides = sides;
+            let all = sides.try_fold(bytes, |all, side| all.checked_mul(*side));
             if all.is_none_or(|all| all > most) {
-                let what = format!("{} events are more than the file can hold", count(dataset));
+                let what = format!("{} events are more than the file can hold", self.events);
                 return Err(file.error(dataset, what));
             }
         }
@@ -178,7 +255,10 @@ impl Plan {
     fn datasets(&self) -> &[Dataset] {
         match &self.source {
             Source::Columns(columns) => columns.as_slice(),
-            Source::Table(dataset, _) | Source::Records(dataset) => std::slice::from_ref(dataset),
+            Source::Addresses(both) => both.as_slice(),
+            Source::Table(dataset, ..) | Source::Records(dataset, _) => {
+                std::slice::from_ref(dataset)
+            }
         }
     }
 
@@ -188,32 +268,46 @@ impl Plan {
         all.get(which).or(all.first())
     }
 
-    fn times_in_seconds(&self, file: &Hdf5) -> anyhow::Result<bool> {
-        let is_float = match &self.source {
-            Source::Records(dataset) => {
-                fields(dataset.dtype()).is_some_and(|[(_, t), ..]| t.is_float())
+    /// The type of the times.
+    fn time_type(&self) -> Option<Dtype> {
+        match &self.source {
+            Source::Records(dataset, given) => {
+                let (fields, _) = fields(dataset.dtype(), given.as_deref())?;
+                let [(_, time), ..] = fields;
+                Some(time)
             }
-            _ => self
-                .datasets()
-                .first()
-                .is_some_and(|dataset| number_type(dataset.dtype()).is_some_and(Dtype::is_float)),
-        };
-        if !is_float {
-            return Ok(false);
+            _ => number_type(self.datasets().first()?.dtype()),
         }
-        let rows = self
-            .read_whole(0, self.events.min(SAMPLE_TIMES as u64))
-            .map_err(|error| self.error(file, 0, &error))?;
-        let mut sample = TimeSample::default();
-        for time in rows.iter().filter_map(|row| row[T]) {
-            sample.add(time.float().fract() == 0.0, time.float());
+    }
+
+    /// The unit that an attribute states: of the times, of the events' dataset or group, of the root.
+    fn stated_unit(&self, file: &Hdf5) -> Option<TimeUnit> {
+        let mut paths = Vec::new();
+        if let (Source::Columns(_) | Source::Addresses(_), Some(t)) =
+            (&self.source, self.dataset(T))
+        {
+            let name = t.name().trim_matches('/');
+            let last = name.rsplit('/').next().unwrap_or(name);
+            paths.push(join(&self.place, last));
         }
-        Ok(sample.seconds())
+        paths.push(self.place.clone());
+        paths.push(String::new());
+        let paths: Vec<&str> = paths.iter().map(String::as_str).collect();
+        file.stated_unit(&paths)
+    }
+
+    /// The first rows.
+    ///
+    /// # Errors
+    /// The first of them is damaged.
+    pub fn sample(&self, file: &Hdf5) -> anyhow::Result<Vec<Row>> {
+        self.read_whole(0, self.events.min(SAMPLE_TIMES as u64))
+            .map_err(|error| self.error(file, 0, &error))
     }
 
     /// DSEC's `t_offset`, in us, of integer times in columns.
     fn add_offset(&mut self, file: &Hdf5) -> anyhow::Result<()> {
-        let (Source::Columns(_), false) = (&self.source, self.unit.seconds) else {
+        let (Source::Columns(_), false) = (&self.source, self.times.is_float) else {
             return Ok(());
         };
         self.milliseconds = index(file);
@@ -229,9 +323,9 @@ impl Plan {
             }
             _ => None,
         };
-        let offset_us = number.and_then(|number| u64::try_from(number).ok());
+        let offset_us = number.filter(|number| *number >= 0);
         let what = "the offset must be one whole number of microseconds, not negative";
-        self.unit.offset_us = offset_us.ok_or_else(|| file.error(&offset, what))?;
+        self.times.offset_us = offset_us.ok_or_else(|| file.error(&offset, what))?;
         self.used += 1;
         Ok(())
     }
@@ -246,14 +340,19 @@ impl Plan {
                 let rows = t.into_iter().zip(x).zip(y).zip(p);
                 Ok(rows.map(|(((t, x), y), p)| [t, x, y, p]).collect())
             }
-            Source::Table(dataset, order) => {
-                let mut rows = read_table(dataset, start, count)?;
-                for row in &mut rows {
-                    *row = order.map(|column| row.get(column).copied().flatten());
-                }
-                Ok(rows)
+            Source::Table(dataset, shape, order) => {
+                read_table(dataset, start, count, *shape, *order)
             }
-            Source::Records(dataset) => read_records(dataset, start, count),
+            Source::Records(dataset, given) => {
+                read_records(dataset, start, count, given.as_deref())
+            }
+            Source::Addresses(both) => {
+                let [times, addresses] = both.as_ref();
+                let times = read_column(times, start, count)?;
+                let rows = read_table(addresses, start, count, (3, false), [0, 0, 1, 2])?;
+                let rows = times.into_iter().zip(rows);
+                Ok(rows.map(|(t, [_, x, y, p])| [t, x, y, p]).collect())
+            }
         }
     }
 
@@ -263,36 +362,59 @@ impl Plan {
     }
 
     /// The first event of `t_us` or later, or one that is not long before it, if the times ascend.
-    pub fn place(&self, t_us: u64) -> Result<u64, Error> {
+    ///
+    /// `None` where times wrap, which bisecting them does not see.
+    pub fn find_time(&self, t_us: u64, rows: &RowEvents) -> Result<Option<u64>, Error> {
         if let Some(event) = self.indexed(t_us) {
             // The index is believed where the event before it is earlier indeed.
-            if event == 0 || self.time(event - 1)?.is_some_and(|before| before < t_us) {
-                return Ok(event);
+            if event == 0
+                || self
+                    .time(event - 1, rows)?
+                    .is_some_and(|before| before < t_us)
+            {
+                return Ok(Some(event));
             }
+        }
+        if rows.may_wrap() && self.has_wrapped()? {
+            return Ok(None);
         }
         let (mut first, mut end) = (0, self.events);
         while first < end {
             let middle = first + (end - first) / 2;
-            if self.time(middle)?.is_some_and(|time| time < t_us) {
+            if self.time(middle, rows)?.is_some_and(|time| time < t_us) {
                 first = middle + 1;
             } else {
                 end = middle;
             }
         }
-        Ok(first)
+        Ok(Some(first))
+    }
+
+    /// Whether the last time is before the first.
+    fn has_wrapped(&self) -> Result<bool, Error> {
+        let time = |event| -> Result<Option<f64>, Error> {
+            let row = self.read(event, 1)?.first().and_then(|row| row[T]);
+            Ok(row.map(Number::float))
+        };
+        if self.events == 0 {
+            return Ok(false);
+        }
+        let (first, last) = (time(0)?, time(self.events.saturating_sub(1))?);
+        Ok(last < first)
     }
 
     /// The event that `ms_to_idx` names.
     fn indexed(&self, t_us: u64) -> Option<u64> {
         let index = self.milliseconds.as_ref()?;
-        let millisecond = t_us.saturating_sub(self.unit.offset_us) / 1000;
+        let offset_us = u64::try_from(self.times.offset_us).unwrap_or(0);
+        let millisecond = t_us.saturating_sub(offset_us) / 1000;
         let number = read_column(index, millisecond, 1).ok()?;
         let event = u64::try_from(number.first().copied()??.whole()?).ok()?;
         (event <= self.events).then_some(event)
     }
 
     /// Time of an event, in us; `None` where it is none.
-    fn time(&self, event: u64) -> Result<Option<u64>, Error> {
+    fn time(&self, event: u64, rows: &RowEvents) -> Result<Option<u64>, Error> {
         let time = match &self.source {
             Source::Columns(columns) => {
                 let [t, ..] = columns.as_ref();
@@ -300,7 +422,7 @@ impl Plan {
             }
             _ => self.read(event, 1)?.first().and_then(|row| row[T]),
         };
-        Ok(time.and_then(|time| self.unit.us(time)))
+        Ok(rows.t_us(time))
     }
 
     /// x and y of `count` events.
@@ -315,8 +437,9 @@ impl Plan {
     }
 
     /// Size that holds every event before the first that is damaged.
-    pub fn largest(&self, file: &Hdf5) -> anyhow::Result<Sensor> {
-        let (mut width, mut height, mut start) = (0, 0, 0);
+    pub fn largest(&self, file: &Hdf5, reading: &Reading, base: Base) -> anyhow::Result<Sensor> {
+        let mut extent = Extent::new(reading);
+        let mut start = 0;
         'all: while start < self.events {
             let count = (self.events - start).min(BATCH_EVENTS as u64);
             let pixels = match self.read_pixels(start, count) {
@@ -326,18 +449,37 @@ impl Plan {
                 Err(error) => return Err(self.error(file, start, &error)),
             };
             for [x, y] in pixels {
-                let (Some(x), Some(y)) = (coordinate(x), coordinate(y)) else {
+                let [x, y] = [x, y].map(|side| less(side, base.pixel));
+                if !extent.add(x, y) {
                     break 'all;
-                };
-                width = width.max(x + 1);
-                height = height.max(y + 1);
+                }
             }
             start += count;
         }
-        Sensor::new(width, height).with_context(|| {
-            let name = file.name();
-            format!("{name}: byte 0: no event, so no sensor size: give --width W --height H")
-        })
+        extent.sensor(file.name())
+    }
+
+    /// What MATLAB's files count from.
+    pub fn base(
+        &self,
+        file: &Hdf5,
+        reading: &Reading,
+        stated: Option<Sensor>,
+    ) -> anyhow::Result<Base> {
+        let mut range = Range::default();
+        let mut start = 0;
+        while file.is_matlab() && start < self.events {
+            let count = (self.events - start).min(BATCH_EVENTS as u64);
+            // Damage is for the reader.
+            let Ok(rows) = self.read(start, count) else {
+                break;
+            };
+            if rows.iter().any(|row| !range.take(row, reading)) {
+                break;
+            }
+            start += count;
+        }
+        Ok(range.base(stated, false))
     }
 
     /// Error of reading event number `event`.
@@ -370,28 +512,87 @@ fn before_damage<T>(
     }
 }
 
-/// Length of the first dimension.
+/// Length of a dataset of one dimension, or of the only one that is not 1.
 fn count(dataset: &Dataset) -> u64 {
-    dataset.shape().first().copied().unwrap_or(0)
+    let shape = dataset.shape();
+    let long = shape.iter().find(|side| **side != 1);
+    long.or(shape.first()).copied().unwrap_or(0)
+}
+
+/// Whether all sides but one are 1.
+fn is_column(dataset: &Dataset) -> bool {
+    let long = dataset.shape().iter().filter(|side| **side != 1);
+    !dataset.shape().is_empty() && long.count() <= 1
+}
+
+/// The number less what is counted from.
+fn less(number: Option<Number>, base: i64) -> Option<Number> {
+    match number? {
+        Number::Whole(value) => Some(Number::Whole(value.saturating_sub(base))),
+        Number::Float(value) => Some(Number::Float(value - base as f64)),
+    }
+}
+
+/// Events that were found.
+struct Found {
+    source: Source,
+    /// The unit that the name of the times states.
+    unit: Option<TimeUnit>,
+    assumption: Option<Assumption>,
+}
+
+/// snnTorch's columns of the group at `place`, if both are there.
+fn addresses(file: &Hdf5, place: &str) -> anyhow::Result<Option<Found>> {
+    let (_, names) = file.members(place);
+    let has = |name: &str| names.iter().any(|other| other == name);
+    if !has("times") || !has("addrs") {
+        return Ok(None);
+    }
+    let both = (
+        file.dataset(&join(place, "times"))?,
+        file.dataset(&join(place, "addrs"))?,
+    );
+    let (Some(times), Some(addresses)) = both else {
+        return Ok(None);
+    };
+    let events = count(&times);
+    let numbers = [&times, &addresses]
+        .iter()
+        .all(|dataset| number_type(dataset.dtype()).is_some());
+    if !numbers || !is_column(&times) || addresses.shape() != [events, 3] {
+        let what = "the addresses must be numbers of shape (N, 3), columns x, y, p, for N times";
+        return Err(file.error(&addresses, what));
+    }
+    Ok(Some(Found {
+        source: Source::Addresses(Box::new([times, addresses])),
+        unit: None,
+        assumption: Some(Assumption {
+            what: "columns",
+            taken: "x, y, p of addrs".to_owned(),
+            why: "snnTorch has them so".to_owned(),
+        }),
+    }))
 }
 
 /// The columns t, x, y, p of the group at `place`, if all are there.
-fn columns(file: &Hdf5, place: &str) -> anyhow::Result<Option<Source>> {
+fn columns(file: &Hdf5, place: &str, reading: &Reading) -> anyhow::Result<Option<Found>> {
     let (_, names) = file.members(place);
-    let find = |known: &[&str]| {
-        let is = |name: &&String| known.iter().any(|known| name.eq_ignore_ascii_case(known));
-        match names.iter().find(is) {
-            Some(name) => file.dataset(&join(place, name)),
-            None => Ok(None),
-        }
-    };
-    let [t, x, y, p] = NAMES.map(find);
-    let (Some(t), Some(x), Some(y), Some(p)) = (t?, x?, y?, p?) else {
+    let given = given_names(reading);
+    let Some(found) = find_names(names.iter().map(String::as_str), given) else {
         return Ok(None);
     };
-    let events = count(&t);
-    for column in [&t, &x, &y, &p] {
-        if column.shape().len() != 1 || number_type(column.dtype()).is_none() {
+    let mut all = Vec::new();
+    for column in found.places {
+        let name = names.get(column).map_or("", String::as_str);
+        all.extend(file.dataset(&join(place, name))?);
+    }
+    let Ok(all) = <[Dataset; 4]>::try_from(all) else {
+        return Ok(None);
+    };
+    let [t, ..] = &all;
+    let events = count(t);
+    for column in &all {
+        if !is_column(column) || number_type(column.dtype()).is_none() {
             return Err(file.error(column, "the dataset must be one column of numbers"));
         }
         if count(column) != events {
@@ -399,5 +600,13 @@ fn columns(file: &Hdf5, place: &str) -> anyhow::Result<Option<Source>> {
             return Err(file.error(column, what));
         }
     }
-    Ok(Some(Source::Columns(Box::new([t, x, y, p]))))
+    if matches!(reading.columns, Some(Columns::Places { .. })) {
+        let what = "the columns have names: give --columns t=NAME,x=NAME,y=NAME,p=NAME";
+        return Err(file.error(t, what));
+    }
+    Ok(Some(Found {
+        source: Source::Columns(Box::new(all)),
+        unit: found.unit,
+        assumption: names_taken(&found),
+    }))
 }

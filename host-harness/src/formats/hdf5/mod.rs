@@ -12,8 +12,14 @@
 //! * Any other place, and a second camera, is named behind the file's name, as h5ls does:
 //!   `indoor_flying1_data.hdf5/davis/right/events`.
 //!
-//! Types, the unit of times and polarities are as in npz files. The sensor's size is that of the root's
-//! attributes `width` and `height`, or Prophesee's `geometry`; else the caller's; else that of the data
+//! * MATLAB's files of `-v7.3`: a structure `TD`, or vectors, of 1 x N or N x 1, which count as MATLAB's other
+//!   files do (see [`super::mat`]); a matrix of N rows is 4 x N here.
+//! * snnTorch: a group with `times` and `addrs` of shape (N, 3), columns x, y, p, named behind the file.
+//! * DDD17's and DDD20's `dvs/data`, raw packets of cAER, are named in the error.
+//!
+//! Types, the unit of times and polarities are as in npz files; an attribute `units` of the times, their group or
+//! the root states the unit. The sensor's size is that of `width` and `height`, `sensor_resolution`, Prophesee's
+//! `geometry` and the like, among the root's or the events' attributes or beside the events; else the caller's; else that of the data
 //! set's cameras; else the largest x and y plus one. Datasets may be contiguous or in chunks, packed by
 //! gzip, Blosc, LZF, LZ4 or Zstandard, with or without shuffle; other filters are named in the error (Blosc
 //! 2, bitshuffle, Prophesee's ECF, of which no kept decoder exists but their own plugin). The reader holds one batch, some chunks and pieces of the file's
@@ -37,9 +43,11 @@ pub use self::writer::Hdf5Writer;
 use self::file::Hdf5;
 use self::layout::Plan;
 use crate::formats::Skipped;
-use crate::formats::event_numbers;
+use crate::formats::event_numbers::T;
 use crate::formats::format::{Format, Limits, Opening, Start};
 use crate::formats::input::{Batch, Decode, ReadSeek, Reader};
+use crate::formats::reading::{Assumption, Reading};
+use crate::formats::row_events::RowEvents;
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -53,14 +61,7 @@ pub const FORMAT: Format = Format {
                place,
                reading,
                ..
-           }| {
-        Ok(Box::new(Hdf5Reader::new(
-            source,
-            name,
-            place,
-            reading.size,
-        )?))
-    },
+           }| { Ok(Box::new(Hdf5Reader::new(source, name, place, &reading)?)) },
     has_places: true,
     grows: false,
     // And 38 hours from the first event to the last, which no limit of a single event tells.
@@ -81,8 +82,8 @@ pub type Hdf5Reader = Reader<Hdf5Decoder>;
 
 impl Hdf5Reader {
     /// Reads `source`, which messages call `name`; `place` is the dataset or group of the events, if
-    /// not one that is known; `size` counts before what the data set's cameras have,
-    /// but not before what the file states.
+    /// not one that is known; `reading` says what the file does not: its size counts before what the data set's
+    /// cameras have.
     ///
     /// # Errors
     /// No HDF5 file, no events of a known layout, no size and no event.
@@ -90,23 +91,30 @@ impl Hdf5Reader {
         source: Box<dyn ReadSeek>,
         name: &str,
         place: Option<&str>,
-        size: Option<Sensor>,
+        reading: &Reading,
     ) -> anyhow::Result<Self> {
         let file = Hdf5::open(source, name)?;
-        let plan = Plan::find(&file, place, size)?;
-        let sensor = match file.stated_size().or(size).or(plan.sensor) {
+        let plan = Plan::find(&file, place, reading)?;
+        let (stated, sizes) = file.stated_size(&plan.place);
+        let sample = plan.sample(&file)?;
+        let base = plan.base(&file, reading, stated)?;
+        let rows = RowEvents::new(reading, plan.times, base, &sample);
+        let mut rows = rows.map_err(|what| match plan.dataset(T) {
+            Some(dataset) => file.error(dataset, what),
+            None => anyhow::anyhow!("{name}: byte 0: {what}"),
+        })?;
+        rows.assumptions.extend(plan.assumption.clone());
+        rows.sensor = match stated.or(reading.size).or(plan.sensor) {
             Some(sensor) => sensor,
-            None => plan.largest(&file)?,
+            None => plan.largest(&file, reading, base)?,
         };
-        let mut skipped = Skipped::default();
-        let others = file.datasets().len().saturating_sub(plan.used);
-        skipped.add("other datasets", others as u64);
+        let others = file.datasets().len().saturating_sub(plan.used + sizes);
+        rows.skipped.add("other datasets", others as u64);
         Ok(Self::around(Hdf5Decoder {
             file,
             plan,
-            sensor,
+            rows,
             events: 0,
-            skipped,
         }))
     }
 }
@@ -115,9 +123,8 @@ impl Hdf5Reader {
 pub struct Hdf5Decoder {
     file: Hdf5,
     plan: Plan,
-    sensor: Sensor,
+    rows: RowEvents,
     events: u64,
-    skipped: Skipped,
 }
 
 impl Hdf5Decoder {
@@ -136,33 +143,43 @@ impl Decode for Hdf5Decoder {
     }
 
     fn sensor(&self) -> Sensor {
-        self.sensor
+        self.rows.sensor
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.rows.assumptions
     }
 
     fn skipped(&self) -> &Skipped {
-        &self.skipped
+        &self.rows.skipped
     }
 
     fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
         // Where a probe meets damage, reading on does too, and tells where.
-        let Ok(event) = self.plan.place(t_us) else {
+        let Ok(Some(event)) = self.plan.find_time(t_us, &self.rows) else {
             return Ok(false);
         };
+        self.rows.rewind();
         self.events = event;
         Ok(true)
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
-        let count = (self.plan.events - self.events).min(batch.room() as u64);
-        let rows = self.plan.read_whole(self.events, count);
-        let rows = rows.map_err(|error| self.plan.error(&self.file, self.events, &error))?;
-        for row in &rows {
-            match event_numbers::event(row, self.plan.unit, self.sensor) {
-                Ok(event) => batch.push(event),
-                Err((which, what)) => return Err(self.error(which, &what)),
+        loop {
+            let count = (self.plan.events - self.events).min(batch.room() as u64);
+            let rows = self.plan.read_whole(self.events, count);
+            let rows = rows.map_err(|error| self.plan.error(&self.file, self.events, &error))?;
+            for row in &rows {
+                match self.rows.event(row) {
+                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
+                    Err((which, what)) => return Err(self.error(which, &what)),
+                }
+                self.events += 1;
             }
-            self.events += 1;
+            // None of a batch may have been an event.
+            if !batch.is_empty() || rows.is_empty() {
+                return Ok(());
+            }
         }
-        Ok(())
     }
 }

@@ -21,6 +21,9 @@ const FIELDS_MAX: u64 = 1 << 8;
 const NAME_BYTES_MAX: u64 = 1 << 6;
 const DIMENSIONS_MAX: u64 = 32;
 
+/// How deep structures in structures are looked at.
+const DEPTH_MAX: usize = 8;
+
 // Types of elements that are looked at; numbers are told by `dtype`.
 const INT8: u32 = 1;
 const INT32: u32 = 5;
@@ -138,8 +141,9 @@ impl MatFile {
         let mut at = HEADER_BYTES as u64;
         while at < length {
             match file.variable(at, length) {
-                Ok((variable, end)) => {
+                Ok((variable, nested, end)) => {
                     file.variables.push(variable);
+                    file.variables.extend(nested);
                     at = end;
                 }
                 Err(what) => {
@@ -181,8 +185,8 @@ impl MatFile {
         self.error(array.place.at, what)
     }
 
-    /// The variable whose element begins at `at`, and where that ends.
-    fn variable(&self, at: u64, length: u64) -> Result<(Variable, u64), String> {
+    /// The variable whose element begins at `at`, the structures in it, and where it ends.
+    fn variable(&self, at: u64, length: u64) -> Result<(Variable, Vec<Variable>, u64), String> {
         let whole = Place {
             at,
             bytes: length - at,
@@ -198,8 +202,9 @@ impl MatFile {
                 tag.end()
             ));
         }
+        let mut nested = Vec::new();
         let (name, content) = match tag.kind {
-            MATRIX => elements.matrix(&tag)?,
+            MATRIX => elements.matrix(&tag, &mut nested)?,
             COMPRESSED => {
                 let packed = Place {
                     at: at + elements.at,
@@ -208,13 +213,13 @@ impl MatFile {
                 };
                 let mut elements = Elements::new(self, packed);
                 match elements.tag()? {
-                    tag if tag.kind == MATRIX => elements.matrix(&tag)?,
+                    tag if tag.kind == MATRIX => elements.matrix(&tag, &mut nested)?,
                     _ => (String::new(), Content::Other),
                 }
             }
             _ => (String::new(), Content::Other),
         };
-        Ok((Variable { name, content }, end))
+        Ok((Variable { name, content }, nested, end))
     }
 
     /// Reads numbers of an array, from number `first` on.
@@ -436,13 +441,18 @@ impl<'f> Elements<'f> {
             .collect())
     }
 
-    /// The name and the content of the array that `tag` begins.
-    fn matrix(&mut self, tag: &Tag) -> Result<(String, Content), String> {
+    /// The name and the content of the array that `tag` begins; structures in it are `nested`, each with its
+    /// place for its name.
+    fn matrix(
+        &mut self,
+        tag: &Tag,
+        nested: &mut Vec<Variable>,
+    ) -> Result<(String, Content), String> {
         let Some(head) = self.head(tag)? else {
             return Ok((String::new(), Content::Other));
         };
         let content = if head.class == STRUCTURE && head.rows * head.columns == 1 {
-            Content::Structure(self.fields()?)
+            Content::Structure(self.fields(&head.name, nested, DEPTH_MAX)?)
         } else {
             self.numbers(&head)?
                 .map_or(Content::Other, Content::Numbers)
@@ -500,7 +510,12 @@ impl<'f> Elements<'f> {
     }
 
     /// Fields of one structure that are numbers.
-    fn fields(&mut self) -> Result<Vec<(String, Array)>, String> {
+    fn fields(
+        &mut self,
+        place: &str,
+        nested: &mut Vec<Variable>,
+        depth: usize,
+    ) -> Result<Vec<(String, Array)>, String> {
         let length = self.words(INT32, 1, "lengths of names")?;
         let length = length.first().copied().map_or(0, u64::from);
         if !(1..=NAME_BYTES_MAX).contains(&length) {
@@ -519,12 +534,23 @@ impl<'f> Elements<'f> {
             if tag.kind != MATRIX {
                 return Err(format!("damaged variable: field {name} is no array"));
             }
-            // Structures in structures are passed over: only numbers are looked for.
-            let head = self.head(&tag)?;
-            if let Some(head) = head
-                && let Some(array) = self.numbers(&head)?
-            {
-                fields.push((name, array));
+            match self.head(&tag)? {
+                Some(head)
+                    if head.class == STRUCTURE
+                        && head.rows * head.columns == 1
+                        && depth > 0
+                        && nested.len() < VARIABLES_MAX =>
+                {
+                    let name = format!("{place}/{name}");
+                    let fields = self.fields(&name, nested, depth - 1)?;
+                    let content = Content::Structure(fields);
+                    nested.push(Variable { name, content });
+                }
+                Some(head) => {
+                    let array = self.numbers(&head)?;
+                    fields.extend(array.map(|array| (name, array)));
+                }
+                None => {}
             }
             self.skip_to(tag.end())?;
         }

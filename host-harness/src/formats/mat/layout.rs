@@ -6,17 +6,16 @@ use eecvs_nostd::Sensor;
 use super::file::{Array, Content, MatFile, Numbers, Variable};
 use crate::formats::BATCH_EVENTS;
 use crate::formats::event_numbers::{
-    NAMES, SAMPLE_ROWS, SAMPLE_TIMES, T, TimeUnit, column_order, coordinate,
+    Row, SAMPLE_ROWS, SHORT, T, column_order, coordinate, find_names, given_names, names_taken,
+    order_taken,
 };
 use crate::formats::npy_header::Number;
-use crate::formats::time_unit::TimeSample;
+use crate::formats::reading::{Assumption, BadEvents, Columns, Reading, TimeUnit};
+use crate::formats::row_events::{Base, Scale, Times};
+use crate::formats::time_unit::SAMPLE_TIMES;
 
-/// What columns, rows and polarities are counted from.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Base {
-    pub pixel: i64,
-    pub polarity: i64,
-}
+/// Name of the times in `AedatTools`' structures.
+const AEDAT_TOOLS: &str = "timeStamp";
 
 /// Where the numbers of the events are.
 pub struct Plan {
@@ -25,7 +24,11 @@ pub struct Plan {
     /// Number of events.
     pub events: u64,
     /// What the times are.
-    pub unit: TimeUnit,
+    pub times: Times,
+    /// The first rows before a damage.
+    pub sample: Vec<Row>,
+    /// How the columns were found, where that may be wrong.
+    pub assumption: Option<Assumption>,
     /// What the rest is counted from.
     pub base: Base,
     /// The sensor's size.
@@ -40,19 +43,23 @@ struct Found {
     /// Width and height, where they are stated.
     sides: Option<[Array; 2]>,
     used: usize,
+    unit: Option<TimeUnit>,
+    assumption: Option<Assumption>,
+    /// Whether pixels count from 0 whatever they are.
+    from_zero: bool,
 }
 
 impl Plan {
     /// Finds the events: in the variable `place` if the user named one.
-    pub fn find(file: &MatFile, place: Option<&str>, size: Option<Sensor>) -> anyhow::Result<Self> {
+    pub fn find(file: &MatFile, place: Option<&str>, reading: &Reading) -> anyhow::Result<Self> {
         let found = match place {
-            Some(place) => named(file, place, size)?,
-            None => any(file, size)?,
+            Some(place) => named(file, place, reading)?,
+            None => any(file, reading)?,
         };
         let counts = found.arrays.map(|array| array.count());
         let [events, ..] = counts;
         for (which, array) in found.arrays.iter().enumerate() {
-            let (count, name) = (counts[which], NAMES[which][0]);
+            let (count, name) = (counts[which], SHORT[which]);
             let what = format!("{count} values of {name}, but {events} times");
             anyhow::ensure!(count == events, file.error_in(array, what));
             let what = format!("{name} is a matrix, not a row or a column");
@@ -63,15 +70,22 @@ impl Plan {
         let mut plan = Self {
             arrays: found.arrays,
             events,
-            unit: TimeUnit::default(),
+            times: Times {
+                scale: found.unit.map(Scale::from),
+                is_u32: found.arrays[T].dtype.is_u32() && !found.arrays[T].is_float,
+                is_float: found.arrays[T].is_float,
+                offset_us: 0,
+            },
+            sample: Vec::new(),
+            assumption: found.assumption,
             base: Base::default(),
             sensor: Sensor::new(1, 1).context("the least sensor")?,
             used: found.used,
         };
-        plan.unit.seconds = plan.times_in_seconds(file)?;
-        let range = plan.range(file)?;
-        plan.base = range.base();
-        let sensor = stated.or(size).or_else(|| range.sensor(plan.base));
+        plan.sample = plan.sample(file)?;
+        let range = plan.range(file, reading)?;
+        plan.base = range.base(stated, found.from_zero);
+        let sensor = stated.or(reading.size).or_else(|| range.sensor(plan.base));
         plan.sensor = sensor.with_context(|| {
             let name = file.name();
             format!("{name}: byte 0: no event, so no sensor size: give --width W --height H")
@@ -89,25 +103,16 @@ impl Plan {
         Ok([open(t)?, open(x)?, open(y)?, open(p)?])
     }
 
-    fn times_in_seconds(&self, file: &MatFile) -> anyhow::Result<bool> {
-        let array = &self.arrays[T];
-        if !array.is_float {
-            return Ok(false);
-        }
-        let mut times = [file
-            .read(array, 0)
-            .map_err(|what| file.error_in(array, what))?];
-        let (count, _) = fill(&mut times, limited(self.events, SAMPLE_TIMES));
-        let mut sample = TimeSample::default();
-        let [times] = times;
-        for time in (0..count).filter_map(|row| times.get(row)) {
-            sample.add(time.float().fract() == 0.0, time.float());
-        }
-        Ok(sample.seconds())
+    /// The first rows before a damage.
+    fn sample(&self, file: &MatFile) -> anyhow::Result<Vec<Row>> {
+        let mut columns = self.columns(file, 0)?;
+        let (rows, _) = fill(&mut columns, limited(self.events, SAMPLE_TIMES));
+        let row = |row: usize| [0, 1, 2, 3].map(|which: usize| columns.get(which)?.get(row));
+        Ok((0..rows).map(row).collect())
     }
 
     /// The range of x, y and p before the first that is damaged or none.
-    fn range(&self, file: &MatFile) -> anyhow::Result<Range> {
+    fn range(&self, file: &MatFile, reading: &Reading) -> anyhow::Result<Range> {
         let mut range = Range::default();
         let [_, x, y, p] = self.columns(file, 0)?;
         let mut columns = [x, y, p];
@@ -116,10 +121,9 @@ impl Plan {
             let (rows, ended) = fill(&mut columns, limited(left, BATCH_EVENTS));
             for row in 0..rows {
                 let [x, y, p] = [0, 1, 2].map(|column| columns[column].get(row));
-                let (Some(x), Some(y)) = (coordinate_or_side(x), coordinate_or_side(y)) else {
+                if !range.take(&[None, x, y, p], reading) {
                     return Ok(range);
-                };
-                range.add(x, y, p.and_then(Number::whole));
+                }
             }
             if ended.is_some() {
                 break;
@@ -139,8 +143,8 @@ fn coordinate_or_side(number: Option<Number>) -> Option<u16> {
     coordinate(number)
 }
 
-/// What values there are.
-struct Range {
+/// What values there are, which tells what pixels and polarities count from.
+pub struct Range {
     least: u16,
     x_most: u16,
     y_most: u16,
@@ -172,11 +176,29 @@ impl Range {
         self.is_empty = false;
     }
 
-    fn base(&self) -> Base {
-        let from_one = self.has_two && self.from_one;
+    /// Takes a row; false where it is damaged.
+    pub fn take(&mut self, row: &Row, reading: &Reading) -> bool {
+        let [_, x, y, p] = *row;
+        let (Some(x), Some(y)) = (coordinate_or_side(x), coordinate_or_side(y)) else {
+            return reading.bad_events == BadEvents::LeaveOut;
+        };
+        self.add(x, y, p.and_then(Number::whole));
+        true
+    }
+
+    /// What is counted from, where the file states a size and where its pixels count from 0 whatever they are.
+    pub fn base(&self, stated: Option<Sensor>, from_zero: bool) -> Base {
+        let no_zero = self.least > 0 && !self.is_empty;
+        let pixel = match stated {
+            _ if from_zero => false,
+            Some(sensor) => {
+                no_zero && (self.x_most == sensor.width || self.y_most == sensor.height)
+            }
+            None => no_zero,
+        };
         Base {
-            pixel: i64::from(from_one && self.least > 0),
-            polarity: i64::from(from_one),
+            pixel: i64::from(pixel),
+            polarity: i64::from(self.has_two && self.from_one),
         }
     }
 
@@ -194,37 +216,33 @@ impl Range {
 }
 
 /// The events of the variable that the user named.
-fn named(file: &MatFile, place: &str, size: Option<Sensor>) -> anyhow::Result<Found> {
+fn named(file: &MatFile, place: &str, reading: &Reading) -> anyhow::Result<Found> {
     let variable = file.variables().iter().find(|found| found.name == place);
     let found = match variable.map(|variable| &variable.content) {
-        Some(Content::Structure(fields)) => structure(file, fields),
-        Some(Content::Numbers(array)) => matrix(file, array, size)?,
+        Some(Content::Structure(fields)) => structure(file, fields, reading),
+        Some(Content::Numbers(array)) => matrix(file, array, reading)?,
         _ => None,
     };
     found.ok_or_else(|| missing(file, &format!("no events at {place}")))
 }
 
 /// The events of a file, where only one place can have them.
-fn any(file: &MatFile, size: Option<Sensor>) -> anyhow::Result<Found> {
+fn any(file: &MatFile, reading: &Reading) -> anyhow::Result<Found> {
     let numbers = |variable: &Variable| match variable.content {
         Content::Numbers(array) => Some((variable.name.clone(), array)),
         _ => None,
     };
     let plain: Vec<(String, Array)> = file.variables().iter().filter_map(numbers).collect();
-    if let Some(arrays) = columns(&plain) {
-        let sides = sides(&plain);
-        let used = 4 + 2 * usize::from(sides.is_some());
-        return Ok(Found {
-            arrays,
-            sides,
-            used,
-        });
+    if let Some(mut found) = columns(&plain, reading) {
+        found.sides = sides(&plain);
+        found.used = 4 + 2 * usize::from(found.sides.is_some());
+        return Ok(found);
     }
     let structures = file
         .variables()
         .iter()
         .filter_map(|variable| match &variable.content {
-            Content::Structure(fields) => Some((variable, structure(file, fields)?)),
+            Content::Structure(fields) => Some((variable, structure(file, fields, reading)?)),
             _ => None,
         });
     let mut structures: Vec<(&Variable, Found)> = structures.collect();
@@ -234,13 +252,17 @@ fn any(file: &MatFile, size: Option<Sensor>) -> anyhow::Result<Found> {
     if !structures.is_empty() {
         return Err(missing(file, "several structures with events"));
     }
-    let mut matrices = plain.iter().filter(|(_, array)| array.columns == 4);
+    let wide = match &reading.columns {
+        Some(Columns::Places { columns, .. }) => *columns as u64,
+        _ => 4,
+    };
+    let mut matrices = plain.iter().filter(|(_, array)| array.columns == wide);
     let only = matrices.next().filter(|_| matrices.next().is_none());
     let named = plain
         .iter()
         .find(|(name, _)| name.eq_ignore_ascii_case("events"));
     let found = match named.or(only) {
-        Some((_, array)) => matrix(file, array, size)?,
+        Some((_, array)) => matrix(file, array, reading)?,
         None => None,
     };
     found.ok_or_else(|| missing(file, "no events"))
@@ -275,7 +297,7 @@ fn missing(file: &MatFile, what: &str) -> anyhow::Error {
         0,
         format!(
             "{what}, neither variables t, x, y, p nor one structure of these nor one matrix of 4 columns: \
-             the file has {}: name a structure or matrix after the file's name, as in {name}/TD",
+             the file has {}: name a structure or matrix after the file's name, as in {name}/TD, or see --columns",
             list.join(", ").escape_debug()
         ),
     )
@@ -288,9 +310,22 @@ fn find(arrays: &[(String, Array)], names: &[&str]) -> Option<Array> {
 }
 
 /// t, x, y and p by their names.
-fn columns(arrays: &[(String, Array)]) -> Option<[Array; 4]> {
-    let [t, x, y, p] = NAMES.map(|names| find(arrays, names));
-    Some([t?, x?, y?, p?])
+fn columns(arrays: &[(String, Array)], reading: &Reading) -> Option<Found> {
+    if matches!(reading.columns, Some(Columns::Places { .. })) {
+        return None;
+    }
+    let names = arrays.iter().map(|(name, _)| name.as_str());
+    let found = find_names(names, given_names(reading))?;
+    let [t, x, y, p] = found.places.map(|place| arrays.get(place));
+    let (t, x, y, p) = (t?, x?, y?, p?);
+    Some(Found {
+        arrays: [t.1, x.1, y.1, p.1],
+        sides: None,
+        used: 4,
+        unit: found.unit,
+        assumption: names_taken(&found),
+        from_zero: t.0 == AEDAT_TOOLS,
+    })
 }
 
 /// Width and height by their names.
@@ -299,26 +334,37 @@ fn sides(arrays: &[(String, Array)]) -> Option<[Array; 2]> {
 }
 
 /// The events in the fields of a structure.
-fn structure(file: &MatFile, fields: &[(String, Array)]) -> Option<Found> {
-    let arrays = columns(fields)?;
+fn structure(file: &MatFile, fields: &[(String, Array)], reading: &Reading) -> Option<Found> {
+    let mut found = columns(fields, reading)?;
     let numbers = |variable: &Variable| match variable.content {
         Content::Numbers(array) => Some((variable.name.clone(), array)),
         _ => None,
     };
     let plain: Vec<(String, Array)> = file.variables().iter().filter_map(numbers).collect();
     let (inside, beside) = (sides(fields), sides(&plain));
-    let used = 1 + 2 * usize::from(inside.is_none() && beside.is_some());
-    Some(Found {
-        arrays,
-        sides: inside.or(beside),
-        used,
-    })
+    found.used = 1 + 2 * usize::from(inside.is_none() && beside.is_some());
+    found.sides = inside.or(beside);
+    Some(found)
 }
 
 /// The events in a matrix of four columns, if it is one.
-fn matrix(file: &MatFile, array: &Array, size: Option<Sensor>) -> anyhow::Result<Option<Found>> {
-    if array.columns != 4 {
-        return Ok(None);
+fn matrix(file: &MatFile, array: &Array, reading: &Reading) -> anyhow::Result<Option<Found>> {
+    let found = |arrays, assumption| Found {
+        arrays,
+        sides: None,
+        used: 1,
+        unit: None,
+        assumption,
+        from_zero: false,
+    };
+    match &reading.columns {
+        Some(Columns::Places { places, columns }) if *columns as u64 == array.columns => {
+            let arrays = places.map(|place| array.column(place as u64));
+            return Ok(Some(found(arrays, None)));
+        }
+        Some(_) => return Ok(None),
+        None if array.columns != 4 => return Ok(None),
+        None => {}
     }
     let all = [0, 1, 2, 3].map(|column| array.column(column));
     let mut streams = Vec::new();
@@ -329,16 +375,12 @@ fn matrix(file: &MatFile, array: &Array, size: Option<Sensor>) -> anyhow::Result
     let (rows, _) = fill(&mut streams, limited(array.rows, SAMPLE_ROWS));
     let row = |row: usize| [0, 1, 2, 3].map(|column: usize| streams.get(column)?.get(row));
     let sample: Vec<_> = (0..rows).map(row).collect();
-    let order = column_order(&sample, size).ok_or_else(|| {
-        let what = "the order of the four columns is unclear: save t, x, y, p";
+    let order = column_order(&sample, reading.size).ok_or_else(|| {
+        let what = "the order of the four columns is unclear: give --columns txyp, in their order";
         file.error_in(array, what)
     })?;
     let arrays = order.map(|column| all.get(column).copied().unwrap_or(*array));
-    Ok(Some(Found {
-        arrays,
-        sides: None,
-        used: 1,
-    }))
+    Ok(Some(found(arrays, Some(order_taken(order)))))
 }
 
 /// The sensor's size from two scalars.
@@ -384,21 +426,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn polarities_of_1_and_2_count_from_1_and_so_may_pixels() {
+    fn pixels_and_polarities_may_count_from_1() {
         let of = |rows: &[(u16, u16, i64)]| {
             let mut range = Range::default();
             for (x, y, p) in rows {
                 range.add(*x, *y, Some(*p));
             }
-            let base = range.base();
+            let base = range.base(None, false);
             (base.pixel, base.polarity, range.sensor(base))
         };
         let sensor = Sensor::new;
         assert_eq!(of(&[(1, 3, 1), (4, 1, 2)]), (1, 1, sensor(4, 3)));
         assert_eq!(of(&[(0, 3, 1), (4, 1, 2)]), (0, 1, sensor(5, 4)));
-        assert_eq!(of(&[(1, 3, 1), (4, 1, 1)]), (0, 0, sensor(5, 4)));
-        assert_eq!(of(&[(1, 3, 1), (4, 1, 0)]), (0, 0, sensor(5, 4)));
-        assert_eq!(of(&[(1, 3, 2), (4, 1, -1)]), (0, 0, sensor(5, 4)));
+        assert_eq!(of(&[(1, 3, 1), (4, 1, 1)]), (1, 0, sensor(4, 3)));
+        assert_eq!(of(&[(1, 3, 1), (4, 1, 0)]), (1, 0, sensor(4, 3)));
+        assert_eq!(of(&[(1, 0, 1), (4, 1, 0)]), (0, 0, sensor(5, 2)));
+        assert_eq!(of(&[(1, 3, 2), (4, 1, -1)]), (1, 0, sensor(4, 3)));
+        let mut range = Range::default();
+        range.add(1, 3, Some(1));
+        // As large as the stated sensor, and smaller, and of a program that counts from 0.
+        assert_eq!(range.base(sensor(8, 3), false).pixel, 1);
+        assert_eq!(range.base(sensor(8, 8), false).pixel, 0);
+        assert_eq!(range.base(None, true).pixel, 0);
         assert_eq!(of(&[]), (0, 0, None));
     }
 }

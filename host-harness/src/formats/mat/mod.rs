@@ -9,10 +9,14 @@
 //!   them and without a size from the caller it is the largest x and y, plus one.
 //! * Real numbers of any class, also as the smaller types that MATLAB stores whole ones in; compressed or
 //!   not, of either byte order.
-//! * t: integers are microseconds. Floats are seconds, rounded to the nearest microsecond, unless the first
-//!   4,096 are whole and there are 16 different ones, or one of 1e10 and more.
-//! * p: 1 is on; 0 or -1 is off. Where all are 1 or 2 and some are 2, 2 is on and 1 is off, and where no
-//!   column or row is 0, both count from 1: `Read_Ndataset` adds one to all three.
+//! * A structure in structures is named by its place: `FILE.mat/aedat/data/polarity` of `AedatTools`.
+//! * t: [`super::time_unit`] has the rule; [`super::row_events`] those for clocks that wrap, polarities and
+//!   events that cannot be one.
+//! * p: 1 is on; 0 or -1 is off. Where all are 1 or 2 and some are 2, 2 is on and 1 is off.
+//! * Pixels count from 1, as MATLAB does, where no column or row is 0, since some event of a camera's recording
+//!   is in its first row or column. But where the file states width and height, they count from 1 only where
+//!   an event is in the column or row of that number: files of this program state both and count from 0. So do
+//!   `AedatTools`, told by the field `timeStamp`.
 //!
 //! Level 4 has no mark to be told by. Files of `-v7.3` are HDF5 and read as such.
 //!
@@ -22,15 +26,17 @@ mod file;
 mod layout;
 mod writer;
 
-use eecvs_nostd::{Event, Sensor};
+use eecvs_nostd::Sensor;
 
 use super::Skipped;
-use super::event_numbers::{self, P, T, X, Y};
+use super::event_numbers::{P, Row, T, X, Y};
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, ReadSeek, Reader};
-use super::npy_header::Number;
+use super::reading::{Assumption, Reading};
+use super::row_events::RowEvents;
 use file::{MatFile, Numbers, byte_order};
 use layout::Plan;
+pub use layout::Range;
 pub use writer::MatWriter;
 
 /// This format in the table of formats.
@@ -45,7 +51,7 @@ pub const FORMAT: Format = Format {
                place,
                reading,
                ..
-           }| Ok(Box::new(MatReader::new(source, name, place, reading.size)?)),
+           }| Ok(Box::new(MatReader::new(source, name, place, &reading)?)),
     has_places: true,
     grows: false,
     limits: Limits::NONE,
@@ -57,7 +63,7 @@ pub type MatReader = Reader<MatDecoder>;
 
 impl MatReader {
     /// Reads `source`, which messages call `name`; `place` is the variable of the events, where it was
-    /// named; `size` counts where the file states none.
+    /// named; `reading` says what the file does not.
     ///
     /// # Errors
     /// No MAT-file of level 5, no events in it, no size and no event.
@@ -65,20 +71,23 @@ impl MatReader {
         source: Box<dyn ReadSeek>,
         name: &str,
         place: Option<&str>,
-        size: Option<Sensor>,
+        reading: &Reading,
     ) -> anyhow::Result<Self> {
         let file = MatFile::open(source, name)?;
-        let plan = Plan::find(&file, place, size)?;
-        let mut skipped = Skipped::default();
+        let plan = Plan::find(&file, place, reading)?;
+        let mut rows = RowEvents::new(reading, plan.times, plan.base, &plan.sample)
+            .map_err(|what| file.error_in(&plan.arrays[T], what))?;
+        rows.sensor = plan.sensor;
+        rows.assumptions.extend(plan.assumption.clone());
         let others = file.variables().len().saturating_sub(plan.used);
-        skipped.add("other variables", others as u64);
+        rows.skipped.add("other variables", others as u64);
         let columns = plan.columns(&file, 0)?;
         Ok(Self::around(MatDecoder {
             file,
             plan,
             columns,
+            rows,
             events: 0,
-            skipped,
         }))
     }
 }
@@ -88,18 +97,13 @@ pub struct MatDecoder {
     file: MatFile,
     plan: Plan,
     columns: [Numbers; 4],
+    rows: RowEvents,
     events: u64,
-    skipped: Skipped,
 }
 
 impl MatDecoder {
-    fn event(&self, row: usize) -> Result<Event, (usize, String)> {
-        let mut numbers = [T, X, Y, P].map(|which| self.columns.get(which)?.get(row));
-        let base = self.plan.base;
-        for (which, base) in [(X, base.pixel), (Y, base.pixel), (P, base.polarity)] {
-            numbers[which] = numbers[which].map(|number| less(number, base));
-        }
-        event_numbers::event(&numbers, self.plan.unit, self.plan.sensor)
+    fn row(&self, row: usize) -> Row {
+        [T, X, Y, P].map(|which| self.columns.get(which)?.get(row))
     }
 
     fn error(&self, which: usize, what: impl std::fmt::Display) -> anyhow::Error {
@@ -111,45 +115,46 @@ impl MatDecoder {
     }
 }
 
-/// The number less what is counted from.
-fn less(number: Number, base: i64) -> Number {
-    match number {
-        Number::Whole(value) => Number::Whole(value.saturating_sub(base)),
-        Number::Float(value) => Number::Float(value - base as f64),
-    }
-}
-
 impl Decode for MatDecoder {
     fn format(&self) -> &'static str {
         "mat"
     }
 
     fn sensor(&self) -> Sensor {
-        self.plan.sensor
+        self.rows.sensor
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.rows.assumptions
     }
 
     fn skipped(&self) -> &Skipped {
-        &self.skipped
+        &self.rows.skipped
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
-        let left = self.plan.events - self.events;
-        let count = usize::try_from(left)
-            .unwrap_or(usize::MAX)
-            .min(batch.room());
-        let (whole, ended) = layout::fill(&mut self.columns, count);
-        for row in 0..whole {
-            match self.event(row) {
-                Ok(event) => batch.push(event),
-                Err((which, what)) => return Err(self.error(which, what)),
+        loop {
+            let left = self.plan.events - self.events;
+            let count = usize::try_from(left)
+                .unwrap_or(usize::MAX)
+                .min(batch.room());
+            let (whole, ended) = layout::fill(&mut self.columns, count);
+            for row in 0..whole {
+                let numbers = self.row(row);
+                match self.rows.event(&numbers) {
+                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
+                    Err((which, what)) => return Err(self.error(which, what)),
+                }
+                self.events += 1;
             }
-            self.events += 1;
-        }
-        match ended {
-            // What is behind the events may be damaged too.
-            None if count == 0 => self.file.damage().map_or(Ok(()), Err),
-            None => Ok(()),
-            Some((which, what)) => Err(self.error(which, what)),
+            match ended {
+                // What is behind the events may be damaged too.
+                None if count == 0 => return self.file.damage().map_or(Ok(()), Err),
+                // None of a batch may have been an event.
+                None if batch.is_empty() => {}
+                None => return Ok(()),
+                Some((which, what)) => return Err(self.error(which, what)),
+            }
         }
     }
 }

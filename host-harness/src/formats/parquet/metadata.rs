@@ -2,9 +2,16 @@
 
 use std::io::Read;
 
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+
 use super::thrift::Compact;
+use crate::formats::arrow;
 use crate::formats::npy_header::{Dtype, Number};
-use crate::formats::table_columns::Stored;
+use crate::formats::table_columns::{Stored, is_known_key};
+
+/// Key that Arrow's writers leave their schema under: a message of Arrow's format in base 64.
+const ARROW_SCHEMA: &str = "ARROW:schema";
 
 /// The footer.
 #[derive(Default)]
@@ -117,7 +124,24 @@ impl Metadata {
             Some(true)
         })?;
         found.place_fields(elements)?;
+        found.take_durations();
         Some(found)
+    }
+
+    /// Takes the units that Parquet has no place for from Arrow's schema, if there is one.
+    fn take_durations(&mut self) {
+        let pair = self.metadata.iter().find(|(key, _)| key == ARROW_SCHEMA);
+        let bytes = pair.and_then(|(_, text)| BASE64_STANDARD.decode(text.trim()).ok());
+        let Some(schema) = bytes.and_then(|bytes| arrow::schema_of_message(&bytes)) else {
+            return;
+        };
+        for field in self.fields.iter_mut().filter(|field| field.shift.is_none()) {
+            let column = schema
+                .columns
+                .iter()
+                .find(|column| column.name == field.name);
+            field.shift = column.and_then(|column| column.shift);
+        }
     }
 
     /// Finds the root's fields in the list of elements, each behind those above it.
@@ -233,8 +257,7 @@ fn pair(thrift: &mut Compact<&[u8]>) -> Option<(String, String)> {
     thrift.fields(|thrift, number, _| {
         match number {
             1 => pair.0 = thrift.text()?,
-            // pyarrow's schema may be long, and is not read.
-            2 if matches!(pair.0.as_str(), "width" | "height") => pair.1 = thrift.text()?,
+            2 if pair.0 == ARROW_SCHEMA || is_known_key(&pair.0) => pair.1 = thrift.text()?,
             _ => return Some(false),
         }
         Some(true)

@@ -4,10 +4,11 @@
 //! column of a row group is pages, each behind a header: values, before which a page may tell which are
 //! missing, or the dictionary that further ones are places in.
 //!
-//! * Columns, times, polarities and the sensor's size as in Arrow's files; `width` and `height` are among
-//!   the keys of the footer. Columns are plain ones of rows, not parts of groups or lists.
-//! * Encodings: plain, dictionary, runs, delta, split bytes. Compression: none, Snappy, gzip, Zstandard,
-//!   LZ4 (raw); Brotli, LZO and Hadoop's LZ4 are named in the error. A page's CRC-32 is checked if there is
+//! * Columns, times, polarities, missing values and the sensor's size as in Arrow's files; `width` and `height`
+//!   are among the keys of the footer. A duration is an integer to Parquet: its unit is in the schema that
+//!   Arrow's writers leave among these keys. Columns are plain ones of rows, not parts of groups or lists.
+//! * Encodings: plain, dictionary, runs, delta, split bytes. Compression: none, Snappy, gzip, Brotli,
+//!   Zstandard, LZ4 (raw); LZO and Hadoop's LZ4 are named in the error. A page's CRC-32 is checked if there is
 //!   one. Encrypted files are not read.
 //!
 //! The `parquet` crate is not used: damaged files still make it panic (apache/arrow-rs#9742), and sizes that
@@ -32,12 +33,15 @@ pub use self::writer::ParquetWriter;
 
 use self::metadata::{Metadata, Page};
 use self::values::{Runs, Values};
-use crate::formats::event_numbers::{NAMES, Row, T, X, Y, coordinate};
+use crate::formats::event_numbers::{Row, SHORT, T, X, Y};
 use crate::formats::format::{Format, Limits, Opening};
 use crate::formats::input::{Batch, Decode, ReadSeek, Reader};
 use crate::formats::npy_header::Number;
+use crate::formats::reading::{Assumption, Reading};
+use crate::formats::row_events::{Base, Extent, RowEvents};
 use crate::formats::section::{Section, Shared};
-use crate::formats::table_columns::{Columns, Named, Stored, stated_size};
+use crate::formats::table_columns::{Columns, Named, Stored, stated};
+use crate::formats::time_unit::SAMPLE_TIMES;
 use crate::formats::{BATCH_EVENTS, Skipped, unpack};
 
 /// First and last bytes.
@@ -59,6 +63,9 @@ const EXPANSION_MAX: u64 = 1100;
 /// Bytes of a column that are read at once.
 const BUFFER_BYTES: usize = 1 << 16;
 
+/// Bytes of a page that Brotli's decoder takes at once.
+const BROTLI_BYTES: usize = 1 << 12;
+
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
     name: "parquet",
@@ -70,7 +77,7 @@ pub const FORMAT: Format = Format {
                name,
                reading,
                ..
-           }| Ok(Box::new(ParquetReader::new(source, name, reading.size)?)),
+           }| Ok(Box::new(ParquetReader::new(source, name, &reading)?)),
     has_places: false,
     grows: false,
     limits: Limits::NONE,
@@ -81,22 +88,20 @@ pub const FORMAT: Format = Format {
 pub type ParquetReader = Reader<ParquetDecoder>;
 
 impl ParquetReader {
-    /// Reads `source`, which messages call `name`; `size` counts where the file states none.
+    /// Reads `source`, which messages call `name`; `reading` says what the file does not.
     ///
     /// # Errors
     /// No Parquet file, no columns t, x, y, p of numbers, no size and no event.
-    pub fn new(
-        source: Box<dyn ReadSeek>,
-        name: &str,
-        size: Option<Sensor>,
-    ) -> anyhow::Result<Self> {
-        let (mut decoder, stated) = ParquetDecoder::open(source, name)?;
-        decoder.learn();
+    pub fn new(source: Box<dyn ReadSeek>, name: &str, reading: &Reading) -> anyhow::Result<Self> {
+        let (mut decoder, stated) = ParquetDecoder::open(source, name, reading)?;
+        let sample = decoder.sample();
         decoder.go_to(0);
-        decoder.sensor = match stated.or(size).or(decoder.columns.sensor) {
+        decoder.numbers = decoder.numbers(reading, &sample)?;
+        let sensor = stated.or(reading.size).or(decoder.columns.sensor);
+        decoder.numbers.sensor = match sensor {
             Some(sensor) => sensor,
             None => {
-                let sensor = decoder.largest()?;
+                let sensor = decoder.largest(reading)?;
                 decoder.go_to(0);
                 sensor
             }
@@ -111,12 +116,11 @@ pub struct ParquetDecoder {
     name: String,
     metadata: Metadata,
     columns: Columns,
-    sensor: Sensor,
+    numbers: RowEvents,
     /// The next row group, and the present one.
     next_group: usize,
     rows: Option<Rows>,
     events: u64,
-    skipped: Skipped,
 }
 
 /// A row group being read.
@@ -161,7 +165,8 @@ impl Column {
         if let Some(present) = &mut self.present
             && present.next().ok_or("a damaged page")? == 0
         {
-            return Err("a value is missing: drop such rows".to_owned());
+            self.left -= 1;
+            return Ok(Some(Number::Float(f64::NAN)));
         }
         let values = self.values.as_mut().ok_or("a damaged page")?;
         let number = values.next(&self.dictionary).ok_or("a damaged page")?;
@@ -256,12 +261,15 @@ fn unpack(stored: &[u8], bytes: u64, codec: i64) -> Result<Vec<u8>, String> {
         0 => Some(stored.to_vec()),
         1 => unpack::snappy(stored, size),
         2 => unpack::stream(flate2::read::MultiGzDecoder::new(stored), size),
+        4 => unpack::stream(
+            brotli_decompressor::Decompressor::new(stored, BROTLI_BYTES),
+            size,
+        ),
         6 => unpack::zstandard(stored, size),
         7 => lz4_flex::block::decompress(stored, size).ok(),
         other => {
             let name = match other {
                 3 => "LZO",
-                4 => "Brotli",
                 5 => "Hadoop's LZ4",
                 _ => "an unknown codec",
             };
@@ -273,7 +281,11 @@ fn unpack(stored: &[u8], bytes: u64, codec: i64) -> Result<Vec<u8>, String> {
 }
 
 impl ParquetDecoder {
-    fn open(mut source: Box<dyn ReadSeek>, name: &str) -> anyhow::Result<(Self, Option<Sensor>)> {
+    fn open(
+        mut source: Box<dyn ReadSeek>,
+        name: &str,
+        reading: &Reading,
+    ) -> anyhow::Result<(Self, Option<Sensor>)> {
         let (length, bytes) = footer(source.as_mut(), name)?;
         let start = length - 8 - bytes.len() as u64;
         let error = |what: &str| anyhow::anyhow!("{name}: byte {start}: {what}");
@@ -295,25 +307,21 @@ impl ParquetDecoder {
                 shift: field.shift,
             })
             .collect();
-        let columns = Columns::find(&named).map_err(|what| error(&what))?;
-        let mut skipped = Skipped::default();
-        let others = named.len() - columns.places.len();
-        skipped.add("other columns", others as u64);
+        let mut columns = Columns::find(&named, reading).map_err(|what| error(&what))?;
         let pairs = metadata.metadata.iter();
-        let stated = stated_size(pairs.map(|(key, value)| (key.as_str(), value.as_str())));
+        let (stated, scale) = stated(pairs.map(|(key, value)| (key.as_str(), value.as_str())));
+        columns.times.scale = columns.times.scale.or(scale);
+        let numbers = RowEvents::new(reading, columns.times, Base::default(), &[]);
+        let numbers = numbers.map_err(|what| error(&what))?;
         let decoder = Self {
             source: Arc::new(Mutex::new(source)),
             name: name.to_owned(),
             metadata,
             columns,
-            sensor: Sensor {
-                width: 1,
-                height: 1,
-            },
+            numbers,
             next_group: 0,
             rows: None,
             events: 0,
-            skipped,
         };
         Ok((decoder, stated))
     }
@@ -329,8 +337,7 @@ impl ParquetDecoder {
     fn error(&self, which: usize, event: u64, what: impl std::fmt::Display) -> anyhow::Error {
         let column = self.rows.as_ref().and_then(|rows| rows.columns.get(which));
         let start = column.map_or(0, |column| column.start);
-        let name = NAMES.get(which).and_then(|names| names.first());
-        let name = name.copied().unwrap_or_default();
+        let name = SHORT.get(which).copied().unwrap_or_default();
         anyhow::anyhow!(
             "{}: byte {start}: event {event}: column {name}: {what}",
             self.name
@@ -409,50 +416,55 @@ impl ParquetDecoder {
         (rows, ended)
     }
 
-    /// Finds the unit of float times by the first of them; damage is for the reader.
-    fn learn(&mut self) {
-        let Some(count) = self.columns.sample() else {
-            return;
-        };
-        let mut times = Vec::new();
-        while times.len() < count {
-            let (rows, ended) = self.read_rows(count - times.len());
-            times.extend(rows.iter().map(|row| row[T]));
-            if rows.is_empty() || ended.is_some() {
+    /// The first rows; damage is for the reader.
+    fn sample(&mut self) -> Vec<Row> {
+        let mut sample = Vec::new();
+        while sample.len() < SAMPLE_TIMES {
+            let (rows, ended) = self.read_rows(SAMPLE_TIMES - sample.len());
+            let is_end = rows.is_empty() || ended.is_some();
+            sample.extend(rows);
+            if is_end {
                 break;
             }
         }
-        self.columns.learn(times.into_iter());
+        sample
+    }
+
+    /// What makes events of rows that begin with `sample`.
+    fn numbers(&self, reading: &Reading, sample: &[Row]) -> anyhow::Result<RowEvents> {
+        let numbers = RowEvents::new(reading, self.columns.times, Base::default(), sample);
+        let mut numbers =
+            numbers.map_err(|what| anyhow::anyhow!("{}: byte 0: {what}", self.name))?;
+        numbers.assumptions.extend(self.columns.assumption.clone());
+        let others = self.metadata.fields.len() - self.columns.places.len();
+        numbers.skipped.add("other columns", others as u64);
+        Ok(numbers)
     }
 
     /// Size that holds every event before the first that is damaged.
-    fn largest(&mut self) -> anyhow::Result<Sensor> {
-        let (mut width, mut height) = (0, 0);
+    fn largest(&mut self, reading: &Reading) -> anyhow::Result<Sensor> {
+        let mut extent = Extent::new(reading);
         'all: loop {
             let (rows, ended) = self.read_rows(BATCH_EVENTS);
             for row in &rows {
-                let (Some(x), Some(y)) = (coordinate(row[X]), coordinate(row[Y])) else {
+                if !extent.add(row[X], row[Y]) {
                     break 'all;
-                };
-                width = width.max(x + 1);
-                height = height.max(y + 1);
+                }
             }
             match ended {
-                Some(error) if width == 0 => return Err(error),
+                Some(error) if extent.is_empty() => return Err(error),
                 None if !rows.is_empty() => {}
                 _ => break,
             }
         }
-        Sensor::new(width, height).ok_or_else(|| {
-            let name = &self.name;
-            anyhow::anyhow!(
-                "{name}: byte 0: no event, so no sensor size: give --width W --height H"
-            )
-        })
+        extent.sensor(&self.name)
     }
 
     /// The last row group that begins before `t_us`, or the first one; `None` where statistics are missing.
     fn group_before(&self, t_us: u64) -> Option<usize> {
+        if self.numbers.may_wrap() {
+            return None;
+        }
         let place = self.columns.places.first()?;
         let leaf = self.metadata.fields.get(*place)?.leaf;
         let mut found = 0;
@@ -461,7 +473,7 @@ impl ParquetDecoder {
                 continue;
             }
             let least = metadata::least(group.chunks.get(leaf)?, self.columns.stored[T]);
-            if self.columns.t_us(Some(least?))? >= t_us {
+            if self.numbers.t_us(Some(least?))? >= t_us {
                 break;
             }
             found = index;
@@ -507,11 +519,15 @@ impl Decode for ParquetDecoder {
     }
 
     fn sensor(&self) -> Sensor {
-        self.sensor
+        self.numbers.sensor
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.numbers.assumptions
     }
 
     fn skipped(&self) -> &Skipped {
-        &self.skipped
+        &self.numbers.skipped
     }
 
     fn seek(&mut self, t_us: u64) -> anyhow::Result<bool> {
@@ -526,8 +542,8 @@ impl Decode for ParquetDecoder {
         while batch.room() > 0 {
             let (rows, ended) = self.read_rows(batch.room());
             for row in &rows {
-                match self.columns.event(row, self.sensor) {
-                    Ok(event) => batch.push(event),
+                match self.numbers.event(row) {
+                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
                     Err((which, what)) => return Err(self.error(which, self.events, what)),
                 }
                 self.events += 1;

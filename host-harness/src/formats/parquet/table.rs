@@ -385,6 +385,7 @@ mod tests {
     use crate::formats::EventReader;
     use crate::formats::parquet::ParquetReader;
     use crate::formats::parquet::values::Runs;
+    use crate::formats::reading::Reading;
 
     fn column(name: &'static str, kind: Kind, is_optional: bool) -> Column {
         Column {
@@ -429,7 +430,7 @@ mod tests {
         assert!(table.group(3, &cells[1..]).is_err());
         table.finish(&[]).unwrap();
         let source = Box::new(File::open(&path).unwrap());
-        let mut reader = ParquetReader::new(source, "table", None).unwrap();
+        let mut reader = ParquetReader::new(source, "table", &Reading::default()).unwrap();
         let mut events = Vec::new();
         while reader.read(&mut events).unwrap() > 0 {}
         let got: Vec<_> = events

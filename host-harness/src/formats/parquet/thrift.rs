@@ -21,7 +21,7 @@ const MAP: u8 = 11;
 pub const STRUCT: u8 = 12;
 
 /// Most bytes of a text or of binary data that is kept; what is skipped may be longer.
-const BINARY_MAX: u64 = 1 << 20;
+const BINARY_MAX: u64 = 16 << 20;
 
 /// How deep structs may be nested.
 const DEPTH_MAX: u8 = 16;
