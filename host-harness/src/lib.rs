@@ -17,7 +17,7 @@ pub mod hot_pixels;
 pub mod mcu;
 pub mod metrics;
 pub mod npy;
-pub mod output_file;
+pub mod output;
 pub mod progress;
 pub mod reconstruct;
 pub mod record_file;

@@ -1,10 +1,11 @@
 //! Volumes as `.npy` files.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
+
+use crate::output::OutputFile;
 
 /// Writes a float32 array of shape C x H x W, C order, a plane at a time.
 ///
@@ -17,11 +18,9 @@ pub fn write_planes(
     [channels, height, width]: [usize; 3],
     fill: &mut dyn FnMut(usize, &mut [f32]),
 ) -> Result<()> {
-    let name = path.display();
-    let file = File::create(path).with_context(|| format!("{name}: cannot create"))?;
-    let mut out = BufWriter::new(file);
-    write(&mut out, [channels, height, width], fill)
-        .with_context(|| format!("{name}: cannot write"))
+    let mut out = OutputFile::create(path)?;
+    write(&mut out, [channels, height, width], fill)?;
+    out.finish()
 }
 
 fn write(

@@ -30,6 +30,7 @@ use super::packets::{
     DEFINITION_ROS2, HASH_ROS2, Message, MessageFile, PacketWriter, Packets, TOPIC, TYPE_ROS2,
 };
 use crate::formats::create_file;
+use crate::output::final_path;
 
 /// Messages of a transaction, which waits in memory: 10 MB at the most.
 const TRANSACTION_MESSAGES: u64 = 100;
@@ -80,7 +81,8 @@ impl Db3Writer {
         let (_, name) = create_file(path)?;
         let connection = begin(path).map_err(|error| failed(&name, error))?;
         let packets = Packets::new(&name, sensor, Serialisation::Cdr);
-        let file_name = path.file_name().unwrap_or_default().to_string_lossy();
+        let final_path = final_path(path);
+        let file_name = final_path.file_name().unwrap_or_default().to_string_lossy();
         let file = Rows {
             connection,
             name,
