@@ -36,25 +36,19 @@ fn outputs_are_refused_before_anything_is_done() {
         ("encode scene.raw -o good.eecvs", "--overwrite"),
         ("encode scene.raw -o out.raw", "another kind"),
         ("encode scene.raw -o out.npy", "another kind"),
-        (
-            "encode scene.raw -o hard.eecvs --overwrite",
-            "which is read",
-        ),
+        ("encode scene.raw -o hard.eecvs --overwrite", "same file"),
         (
             "encode scene.raw -o ./frames/../hard.eecvs --overwrite",
-            "which is read",
+            "same file",
         ),
         (
             "encode scene.raw --hot-pixels hot.txt -o hot.eecvs --overwrite",
-            "which is read",
+            "same file",
         ),
         ("encode scene.raw -o none/a.eecvs", "no folder"),
         ("encode scene.raw -o frames", "is a folder"),
         ("encode absent.raw -o good.eecvs --overwrite", "absent.raw"),
-        (
-            "encode good.eecvs -o good.eecvs --overwrite",
-            "which is read",
-        ),
+        ("encode good.eecvs -o good.eecvs --overwrite", "same file"),
         (
             "encode old.csv -o good.eecvs --overwrite --bytes-per-second 10",
             "good.eecvs|bytes",
@@ -69,7 +63,7 @@ fn outputs_are_refused_before_anything_is_done() {
         ),
         ("convert scene.raw old.csv", "--overwrite"),
         ("convert scene.raw out.eecvs", "eecvs encode"),
-        ("convert scene.raw ./scene.raw --overwrite", "which is read"),
+        ("convert scene.raw ./scene.raw --overwrite", "same file"),
         ("emulate motorcycle -o scene.raw", "--overwrite"),
         ("emulate motorcycle -o out.eecvs", "eecvs encode"),
         ("calibrate scene.raw -o keep.toml", "--overwrite"),
@@ -79,7 +73,7 @@ fn outputs_are_refused_before_anything_is_done() {
         ("view scene.raw -o keep.gif", "--overwrite"),
         ("view scene.raw -o frames/", "--overwrite"),
     ] {
-        let outcome = folder.eecvs(line);
+        let outcome = folder.as_is(line);
         assert_eq!(outcome.status, Some(1), "{outcome}");
         let found = reason
             .split('|')
@@ -102,7 +96,7 @@ fn outputs_are_refused_before_anything_is_done() {
         "view scene.raw -o frames/ --frames 2 --overwrite",
         "encode scene.raw -o /dev/null",
     ] {
-        folder.eecvs(line).ok();
+        folder.as_is(line).ok();
     }
     assert_eq!(names(&folder), before);
     assert!(!folder.path("frames/frame_000007.png").exists());

@@ -60,7 +60,7 @@ fn pictures_and_text() {
     let first = folder.bytes("all/frame_000000.png");
     assert!(first.starts_with(b"\x89PNG"));
     let text = folder
-        .eecvs("view a.csv --columns 40 --slice-us 4000")
+        .eecvs("view a.csv --terminal-columns 40 --slice-us 4000")
         .ok()
         .stdout;
     let lines: Vec<&str> = text.lines().collect();
@@ -121,11 +121,11 @@ fn what_cannot_be_played_is_told_in_a_line() {
     bytes[middle] ^= 1;
     folder.write("damaged.eecvs", &bytes);
     folder
-        .eecvs("view damaged.eecvs --columns 20")
+        .eecvs("view damaged.eecvs --terminal-columns 20")
         .warns(&["damaged.eecvs", "damaged bytes"]);
     // Other times, as of another clock.
     folder.write("later.csv", "t,x,y,p\n900000000,0,0,1\n");
     folder
-        .eecvs("view a.raw later.csv --columns 20")
+        .eecvs("view a.raw later.csv --terminal-columns 20")
         .warns(&["later.csv", "clocks"]);
 }

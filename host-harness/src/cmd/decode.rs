@@ -62,6 +62,12 @@ impl Decode {
     /// cannot be written.
     pub fn run(self) -> Result<()> {
         let name = self.input.display();
+        let both = self.output.as_ref().zip(self.volume.as_ref());
+        ensure!(
+            both.is_none_or(|(output, volume)| output != volume && !is_same(output, volume)),
+            "{}: -o and --volume are the same file: give one of them another name",
+            self.output.as_deref().unwrap_or(&self.input).display()
+        );
         let outputs = [
             (&self.output, Kind::Recording),
             (&self.volume, Kind::Volume),
@@ -71,12 +77,6 @@ impl Decode {
                 self.overwrite.check(output, kind, [self.input.as_path()])?;
             }
         }
-        let both = self.output.as_ref().zip(self.volume.as_ref());
-        ensure!(
-            both.is_none_or(|(output, volume)| output != volume && !is_same(output, volume)),
-            "{}: -o and --volume are the same file: give one of them another name",
-            self.output.as_deref().unwrap_or(&self.input).display()
-        );
         let mut windows = WindowReader::new(FrameReader::open(&self.input)?);
         let mut volume_written = false;
         let progress = Progress::new("events");

@@ -297,6 +297,7 @@ mod tests {
         let error = parse(&line).unwrap().run().unwrap_err();
         assert!(format!("{error:#}").contains("scene.unknown"), "{error:#}");
         assert!(!file.exists());
+        let file = dir.path().join("scene.raw");
         let late = format!("outdoor-dark -o {} --start-us {}", file.display(), u64::MAX);
         let error = parse(&late).unwrap().run().unwrap_err();
         assert!(format!("{error:#}").contains("earlier start"), "{error:#}");

@@ -87,7 +87,7 @@ pub struct View {
     /// Columns of the terminal to use; where stdout is none, frames are written as text one below the other
     #[arg(long, value_name = "N", conflicts_with = "output",
           value_parser = clap::value_parser!(u16).range(1..=4096))]
-    columns: Option<u16>,
+    terminal_columns: Option<u16>,
 
     #[command(flatten)]
     reading: ReadingOptions,
@@ -143,8 +143,8 @@ impl View {
         }
         let name = self.file.display();
         ensure!(
-            self.output.is_some() || self.columns.is_some() || stdout().is_terminal(),
-            "{name}: stdout is no terminal: give -o OUT.gif, OUT.png or OUT/, or --columns N"
+            self.output.is_some() || self.terminal_columns.is_some() || stdout().is_terminal(),
+            "{name}: stdout is no terminal: give -o OUT.gif, OUT.png or OUT/, or --terminal-columns N"
         );
         if let Some(output) = &self.output {
             self.check(output)?;
@@ -278,7 +278,7 @@ impl View {
                 clip: self.clip,
                 origin_us,
             };
-            let columns = self.columns.map(usize::from);
+            let columns = self.terminal_columns.map(usize::from);
             if let Some(columns) = columns.filter(|_| !stdout().is_terminal()) {
                 return Ok(Box::new(Text::new(stdout(), look, columns)));
             }
@@ -443,7 +443,7 @@ mod tests {
             "x a --fps 0",
             "x a --upscale 2",
             "x a --json",
-            "x a --columns 80 -o b.gif",
+            "x a --terminal-columns 80 -o b.gif",
             "x a --frames 0",
             "x a --clip 101 -o b.gif",
         ] {

@@ -33,14 +33,14 @@ const LINKS_MAX: usize = 40;
 /// Each of these; the message names the output and what to do.
 pub fn check(path: &Path, kind: Kind, overwrite: bool, inputs: &[&Path]) -> Result<()> {
     let name = path.display();
-    kind.check(path)?;
     for input in inputs {
         ensure!(
             !is_same(input, path),
-            "{name}: is {}, which is read: give the output another name",
+            "{name}: input and output are the same file ({} is read): give the output another name",
             input.display()
         );
     }
+    kind.check(path)?;
     if is_direct(path) {
         return Ok(());
     }
@@ -377,8 +377,8 @@ mod tests {
             ("out.eecvs", Kind::Recording, true, "eecvs encode"),
             ("out.jpg", Kind::Recording, true, "no format"),
             ("out.raw", Kind::Volume, true, "another kind"),
-            ("hard.eecvs", Kind::Frames, true, "which is read"),
-            ("./in.raw", Kind::Recording, true, "which is read"),
+            ("hard.eecvs", Kind::Frames, true, "same file"),
+            ("./in.raw", Kind::Recording, true, "same file"),
             ("none/a.eecvs", Kind::Frames, true, "no folder"),
         ] {
             let error = check(&at(name), kind, overwrite, &[&input]).unwrap_err();
