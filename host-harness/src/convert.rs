@@ -9,7 +9,7 @@ use crate::fit::{Fit, Lost, beyond};
 use crate::formats::growing::{Follow, open_growing};
 use crate::formats::intact::Intact;
 use crate::formats::{self, Format, Reading};
-use crate::output_file::{refuse_same_file, remove_partial};
+use crate::output::is_same;
 
 /// A rectangle of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -129,7 +129,7 @@ pub fn convert(
     if let (Some(from), Some(to)) = (filter.from_us, filter.to_us) {
         anyhow::ensure!(from <= to, "--from-us {from} is after --to-us {to}");
     }
-    let (format, create) = formats::writable(output)?;
+    let (format, _) = formats::writable(output)?;
     let reader = match &conversion.follow {
         Some(follow) => open_growing(input, reading, follow)?,
         None => formats::open(input, reading)?,
@@ -140,25 +140,31 @@ pub fn convert(
     if conversion.allow_loss {
         sensor = Fit::sensor(format.limits, sensor);
     }
-    refuse_same_file(input, output)?;
-    let writer = create(output, sensor)?;
+    anyhow::ensure!(
+        !is_same(input, output),
+        "{}: input and output are the same file: give the output another name",
+        input.display()
+    );
+    let mut writer = formats::create(output, sensor)?;
     let mut reader = Intact::new(reader);
-    let result = copy(&mut reader, writer, conversion, format)
+    let result = copy(&mut reader, writer.as_mut(), conversion, format)
         .with_context(|| format!("{}: cannot be converted", output.display()));
     // Nothing of a recording is no recording.
-    let result = result.and_then(|converted| match reader.damage() {
-        Some(damage) if converted.events_in == 0 => Err(damage),
-        damage => Ok(Converted {
-            damage: damage.map(|error| format!("{error:#}")),
-            ..converted
-        }),
-    });
-    result.inspect_err(|_| remove_partial(output))
+    let converted = result?;
+    let damage = match reader.damage() {
+        Some(damage) if converted.events_in == 0 => return Err(damage),
+        damage => damage.map(|error| format!("{error:#}")),
+    };
+    writer.finish()?;
+    Ok(Converted {
+        damage,
+        ..converted
+    })
 }
 
 fn copy(
     reader: &mut dyn formats::EventReader,
-    mut writer: Box<dyn formats::EventWriter>,
+    writer: &mut dyn formats::EventWriter,
     conversion: &Conversion,
     format: &Format,
 ) -> anyhow::Result<Converted> {
@@ -201,7 +207,6 @@ fn copy(
             break;
         }
     }
-    writer.finish()?;
     converted.lost = fit.lost();
     Ok(converted)
 }

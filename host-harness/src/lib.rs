@@ -16,7 +16,7 @@ pub mod frame_file;
 pub mod hot_pixels;
 pub mod mcu;
 pub mod metrics;
-pub mod output_file;
+pub mod output;
 pub mod progress;
 pub mod reconstruct;
 pub mod record_file;

@@ -18,6 +18,7 @@ use anyhow::{Context, Result};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::output;
 use crate::study::record::{date, machine};
 use crate::study::set::SEED;
 
@@ -50,7 +51,7 @@ pub fn write<R: Serialize>(folder: &Path, name: &str, rows: &[R]) -> Result<()> 
     fs::create_dir_all(folder)
         .with_context(|| format!("{}: cannot create the folder", folder.display()))?;
     let path = path(folder, name);
-    fs::write(&path, text(rows)?).with_context(|| format!("{}: cannot be written", path.display()))
+    output::write(&path, text(rows)?)
 }
 
 /// Reads a record.

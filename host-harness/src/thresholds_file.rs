@@ -12,7 +12,7 @@
 //! are TOML numbers with twelve decimals, and they are read from the *text* of the number
 //! exactly: an f64 would lose the last decimals above 9,007 events per pixel per second.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::Read;
 use std::num::NonZeroU32;
 use std::path::Path;
@@ -24,6 +24,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::calibrate::CalibratedThresholds;
 use crate::exact_density::{decimal, pico_from_decimal};
+use crate::output;
 
 /// Largest file that is read, in bytes.
 const FILE_BYTES_MAX: u64 = 16 << 20;
@@ -99,7 +100,7 @@ tau_high = {}
     /// # Errors
     /// I/O; the message names the file.
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
-        fs::write(path, self.to_toml()).with_context(|| {
+        output::write(path, self.to_toml()).with_context(|| {
             format!(
                 "{}: cannot write the thresholds: check folder and rights",
                 path.display()
@@ -282,7 +283,7 @@ mod tests {
         let path = folder.path().join("thresholds.toml");
         example().write(&path).unwrap();
         assert_eq!(ThresholdsFile::read(&path).unwrap(), example());
-        let text = fs::read_to_string(&path).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.contains("\ntau_low = 0.371000000000\n"), "{text}");
         assert!(
             text.contains("\ntau_high = 18446744.073709551615\n"),
@@ -406,7 +407,7 @@ mod tests {
             message.contains("none.toml") && message.contains("eecvs calibrate"),
             "{message}"
         );
-        fs::write(&path, b"tau_low = 1\n\xFF").unwrap();
+        std::fs::write(&path, b"tau_low = 1\n\xFF").unwrap();
         let message = format!("{:#}", ThresholdsFile::read(&path).unwrap_err());
         assert!(message.contains("none.toml: byte 12"), "{message}");
         File::create(&path)

@@ -14,7 +14,7 @@ use anyhow::{Context, Result, bail, ensure};
 use zip::CompressionMethod;
 use zip::write::SimpleFileOptions;
 
-use crate::output_file::OutputFile;
+use crate::output::OutputFile;
 use crate::reconstruct::volume::Volume;
 
 /// Volumes are mostly zeros, which the lowest level has out of the way as well as any.

@@ -6,10 +6,11 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, anyhow};
 use eecvs_nostd::Event;
 use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
 use host_harness::formats::{self, EventReader, Pause};
+use host_harness::output;
 
 use crate::device::mcu::messages::{FRAME_BYTES_MAX, Message, Messages};
 use crate::link::Loss;
@@ -27,6 +28,21 @@ pub enum Kind {
     Frames,
     /// Events in a format of recordings.
     Events,
+}
+
+impl Kind {
+    /// Refuses an output before anything is done, as [`output::check`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn check(self, path: &Path, overwrite: bool, inputs: &[&Path]) -> Result<()> {
+        let kind = match self {
+            Self::Stream => output::Kind::Stream,
+            Self::Frames => output::Kind::Frames,
+            Self::Events => output::Kind::Recording,
+        };
+        output::check(path, kind, overwrite, inputs)
+    }
 }
 
 /// By extension: `.stream`, `.eecvs`, or a recording's.
@@ -106,7 +122,7 @@ fn each_chunk(
 /// # Errors
 /// The link, the file; the message names it.
 pub fn events(reader: &mut dyn EventReader, path: &Path) -> Result<u64> {
-    let mut writer = formats::create(path, reader.sensor())?;
+    let mut writer = formats::create_in_place(path, reader.sensor())?;
     let mut batch: Vec<Event> = Vec::with_capacity(formats::BATCH_EVENTS);
     let mut written = 0;
     let outcome = loop {
@@ -203,17 +219,4 @@ pub fn create(path: &Path) -> Result<BufWriter<File>> {
 pub fn flush(out: &mut dyn Write, path: &Path) -> Result<()> {
     let flushed = out.flush();
     flushed.with_context(|| format!("{}: cannot be written", path.display()))
-}
-
-/// Refuses an output that is there already, unless it may be written anew.
-///
-/// # Errors
-/// It is there.
-pub fn refuse_existing(path: &Path, overwrite: bool) -> Result<()> {
-    ensure!(
-        overwrite || !path.is_file(),
-        "{}: is there already: choose another name or --overwrite",
-        path.display()
-    );
-    Ok(())
 }

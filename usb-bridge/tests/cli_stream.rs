@@ -268,10 +268,13 @@ fn a_full_disk_is_one_line_and_the_file_can_be_read() {
         assert_eq!(output.status.code(), Some(1), "{text}");
         assert_eq!(text.lines().count(), 1, "{text}");
         assert!(text.contains(name), "{text}");
-        let path = folder.path(name);
+        // A capture that failed is marked by its name.
+        assert!(!folder.path(name).exists());
+        let path = folder.path(&format!("incomplete-{name}"));
         let found = match name {
             "a.stream" => {
-                let replay = ["capture", "--device", "replay:a.stream", "--rate", "max"];
+                let device = "replay:incomplete-a.stream";
+                let replay = ["capture", "--device", device, "--rate", "max"];
                 let output = folder.run(&[&replay[..], &["-o", "b.raw", "--overwrite"]].concat());
                 assert!(output.status.success());
                 read(&folder.path("b.raw"))

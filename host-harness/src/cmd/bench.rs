@@ -18,6 +18,7 @@ use crate::bench::window::Windows;
 use crate::bench::{
     Effort, Origin, Row, errors, measure, over_windows, scaling, skips, steps, windows,
 };
+use crate::output;
 use crate::progress::Progress;
 use crate::record_file;
 use crate::report::marks::Marks;
@@ -360,7 +361,7 @@ impl Bench {
 }
 
 pub(super) fn write(path: &Path, text: &str) -> Result<()> {
-    fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))
+    output::write(path, text)
 }
 
 /// The largest of each curve and where it is, as powers of two.

@@ -8,12 +8,12 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 
-use super::options::ReadingOptions;
+use super::options::{OutputOptions, ReadingOptions};
 use super::output::{print, print_json};
 use crate::calibrate::{CalibratedThresholds, Calibration};
 use crate::exact_density::decimal;
 use crate::formats::{self, EventReader};
-use crate::output_file::refuse_same_file;
+use crate::output::Kind;
 use crate::progress::Progress;
 use crate::scene::{PRESETS, SceneConfig, emulate};
 use crate::thresholds_file::ThresholdsFile;
@@ -46,6 +46,9 @@ pub struct Calibrate {
     #[arg(short, long, value_name = "thresholds.toml")]
     output: PathBuf,
 
+    #[command(flatten)]
+    overwrite: OutputOptions,
+
     /// Print one JSON object instead of the table.
     #[arg(long)]
     json: bool,
@@ -58,9 +61,8 @@ impl Calibrate {
     /// A recording that cannot be read to its end, recordings without events, or an output
     /// that cannot be written; the message names the file.
     pub fn run(self) -> anyhow::Result<()> {
-        for file in &self.files {
-            refuse_same_file(file, &self.output)?;
-        }
+        let inputs = self.files.iter().map(PathBuf::as_path);
+        self.overwrite.check(&self.output, Kind::Settings, inputs)?;
         let reading = self.reading.reading();
         let mut calibration = Calibration::new(self.window_us);
         let mut skipped: BTreeMap<&'static str, u64> = BTreeMap::new();
@@ -220,6 +222,7 @@ mod tests {
             scenes: false,
             reading: ReadingOptions::default(),
             output: output.clone(),
+            overwrite: OutputOptions::default(),
             json: false,
         };
         let message = format!("{:#}", command.run().unwrap_err());

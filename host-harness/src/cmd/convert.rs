@@ -6,9 +6,10 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use clap::error::ErrorKind;
 
-use super::options::{FollowOptions, ReadingOptions, tell_damage};
+use super::options::{FollowOptions, OutputOptions, ReadingOptions, tell_damage};
 use super::output::{print, print_json, rows};
 use crate::convert::{Conversion, Converted, Crop, Filter, convert};
+use crate::output::Kind;
 
 /// Convert a recording, or a part of it, to another format
 #[derive(Debug, Args)]
@@ -42,6 +43,9 @@ pub struct Convert {
 
     #[command(flatten)]
     reading: ReadingOptions,
+
+    #[command(flatten)]
+    overwrite: OutputOptions,
 
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -92,6 +96,8 @@ impl Convert {
             allow_loss: self.allow_loss,
             follow: self.follow.follow()?,
         };
+        self.overwrite
+            .check(&self.output, Kind::Recording, [self.input.as_path()])?;
         let reading = self.reading.reading();
         let converted = convert(&self.input, &self.output, &reading, &conversion)?;
         if self.json {

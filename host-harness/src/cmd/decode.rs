@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use anyhow::{Result, bail, ensure};
 use clap::Args;
 
+use super::options::OutputOptions;
 use super::output::{print, print_json, rows};
 use super::volume::VolumeOptions;
 use crate::decode::{DecodeSummary, WindowReader, decode};
 use crate::formats;
 use crate::frame_file::FrameReader;
-use crate::output_file::{refuse_same_file, remove_partial};
+use crate::output::{Kind, is_same};
 use crate::progress::Progress;
 use crate::reconstruct::events::Finder;
 use crate::reconstruct::volume::Maker;
@@ -48,6 +49,9 @@ pub struct Decode {
     #[command(flatten)]
     form: VolumeOptions,
 
+    #[command(flatten)]
+    overwrite: OutputOptions,
+
     /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
@@ -61,14 +65,21 @@ impl Decode {
     /// cannot be written.
     pub fn run(self) -> Result<()> {
         let name = self.input.display();
-        for output in self.output.iter().chain(&self.volume) {
-            refuse_same_file(&self.input, output)?;
-        }
+        let both = self.output.as_ref().zip(self.volume.as_ref());
         ensure!(
-            self.output.is_none() || self.output != self.volume,
+            both.is_none_or(|(output, volume)| output != volume && !is_same(output, volume)),
             "{}: -o and --volume are the same file: give one of them another name",
             self.output.as_deref().unwrap_or(&self.input).display()
         );
+        let outputs = [
+            (&self.output, Kind::Recording),
+            (&self.volume, Kind::Volume),
+        ];
+        for (output, kind) in outputs {
+            if let Some(output) = output {
+                self.overwrite.check(output, kind, [self.input.as_path()])?;
+            }
+        }
         let mut volumes = match &self.volume {
             Some(path) => Some(VolumeFile::new(path, self.all_windows)?),
             None => {
@@ -78,17 +89,12 @@ impl Decode {
         };
         let mut maker = Maker::new(self.form.form(), self.events);
         let mut windows = WindowReader::new(FrameReader::open(&self.input)?);
-        let mut created = false;
         let progress = Progress::new("events");
         let summary = decode(
             &mut windows,
             self.events,
             &mut |sensor| match &self.output {
-                Some(path) => {
-                    let writer = formats::create(path, sensor)?;
-                    created = true;
-                    Ok(Some(writer))
-                }
+                Some(path) => formats::create(path, sensor).map(Some),
                 None => Ok(None),
             },
             &mut |index, window| match &mut volumes {
@@ -101,9 +107,6 @@ impl Decode {
             &mut |events| progress.set(events),
         );
         drop(progress);
-        if summary.is_err() && created {
-            self.output.iter().for_each(|path| remove_partial(path));
-        }
         let summary = summary?;
         if summary.link.frames == 0 {
             bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");

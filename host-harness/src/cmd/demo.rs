@@ -1,7 +1,6 @@
 //! `eecvs demo`: the main job from an emulated scene to a page with pictures.
 
-use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::fs;
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::{Path, PathBuf};
 
@@ -21,6 +20,7 @@ use crate::encode::{Limits, encode};
 use crate::formats::{self, EventReader, Reading};
 use crate::frame_file::FrameReader;
 use crate::metrics;
+use crate::output::{self, OutputFile};
 use crate::progress::Progress;
 use crate::reconstruct::events::Finder;
 use crate::record_file;
@@ -32,6 +32,9 @@ use crate::thresholds_file::ThresholdsFile;
 
 const WINDOW_US: NonZeroU32 = NonZeroU32::new(32_768).unwrap();
 const M: u8 = 16;
+
+/// The page, which is written last.
+const REPORT: &str = "report.html";
 
 /// Emulate a scene, calibrate, encode, decode, compare, and write a page with pictures
 #[derive(Debug, Args)]
@@ -47,6 +50,10 @@ pub struct Demo {
     /// Seed of the scene
     #[arg(long, default_value_t = 1)]
     seed: u64,
+
+    /// Replace the results of an earlier run in the folder
+    #[arg(long)]
+    overwrite: bool,
 
     /// Also write the table into a document, README.md, between the lines that name this command
     #[arg(long, value_name = "FILE", conflicts_with_all = ["scene", "seed"])]
@@ -74,6 +81,12 @@ impl Demo {
         if let Some(document) = &self.save {
             MARKS.check(document)?;
         }
+        let report = self.output.join(REPORT);
+        ensure!(
+            self.overwrite || !report.exists(),
+            "{}: is there already: choose another folder or --overwrite",
+            report.display()
+        );
         fs::create_dir_all(&self.output)
             .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
         let config = SceneConfig::new(self.scene, self.seed);
@@ -143,8 +156,7 @@ impl Demo {
             pictures: &pictures,
             rows: &rows,
         };
-        let report = self.output.join("report.html");
-        fs::write(&report, page.html()).with_context(|| format!("{}", report.display()))?;
+        output::write(&report, page.html())?;
         let files: Vec<_> = pictures
             .iter()
             .map(|(file, caption)| format!("  {}  {caption}\n", run.folder.join(file).display()))
@@ -198,8 +210,7 @@ impl Run {
     /// Encodes into a file, decodes it into another and compares that with the scene.
     fn row(&self, name: &'static str, mode: Mode, transform: Option<Transform>) -> Result<Row> {
         let frames = self.folder.join(format!("{name}.eecvs"));
-        let file = File::create(&frames).with_context(|| format!("{}", frames.display()))?;
-        let mut out = BufWriter::new(file);
+        let mut out = OutputFile::create(&frames)?;
         let config = Config {
             transform,
             m: M,
@@ -224,8 +235,7 @@ impl Run {
             &mut out,
             &mut show,
         )?;
-        out.flush()
-            .with_context(|| format!("{}", frames.display()))?;
+        out.finish()?;
 
         let decoded = self.decoded(name);
         decode(
@@ -294,7 +304,7 @@ impl Run {
             ),
         ] {
             let path = self.folder.join(file);
-            fs::write(&path, svg).with_context(|| format!("{}", path.display()))?;
+            output::write(&path, svg)?;
             pictures.push((file.to_owned(), caption.to_owned()));
         }
         Ok(pictures)

@@ -7,9 +7,10 @@ use anyhow::Context;
 use clap::ValueEnum;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
+use super::options::OutputOptions;
 use super::output::print;
 use crate::formats::{self, EventReader, EventWriter};
-use crate::output_file::remove_partial;
+use crate::output::Kind;
 use crate::progress::Progress;
 use crate::scene::{self, Emulator, PRESETS, Preset, SceneConfig};
 
@@ -48,6 +49,9 @@ pub struct Emulate {
     #[arg(long, value_name = "T", default_value_t = 0)]
     start_us: u64,
 
+    #[command(flatten)]
+    overwrite: OutputOptions,
+
     /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
@@ -76,6 +80,7 @@ impl Emulate {
                 scenes().trim_end()
             )
         })?;
+        self.overwrite.check(output, Kind::Recording, [])?;
         let mut config = SceneConfig::new(preset, self.seed);
         if let Some((width, height)) = self.width.zip(self.height) {
             config.sensor = Sensor { width, height };
@@ -87,8 +92,7 @@ impl Emulate {
         let mut writer = formats::create(output, config.sensor)?;
         let begun = Instant::now();
         let written = write_scene(&mut emulator, writer.as_mut())
-            .and_then(|written| writer.finish().map(|()| written))
-            .inspect_err(|_| remove_partial(output))?;
+            .and_then(|written| writer.finish().map(|()| written))?;
         let seconds = begun.elapsed().as_secs_f64();
         print(&format!("{}\n", self.report(&config, written, seconds)))
     }
@@ -293,6 +297,7 @@ mod tests {
         let error = parse(&line).unwrap().run().unwrap_err();
         assert!(format!("{error:#}").contains("scene.unknown"), "{error:#}");
         assert!(!file.exists());
+        let file = dir.path().join("scene.raw");
         let late = format!("outdoor-dark -o {} --start-us {}", file.display(), u64::MAX);
         let error = parse(&late).unwrap().run().unwrap_err();
         assert!(format!("{error:#}").contains("earlier start"), "{error:#}");

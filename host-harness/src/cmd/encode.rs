@@ -1,6 +1,7 @@
 //! `eecvs encode`: a recording to frames.
 
 use std::fs::Metadata;
+use std::iter;
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::{Path, PathBuf};
 
@@ -12,7 +13,7 @@ use eecvs_nostd::{
 };
 use serde::Serialize;
 
-use super::options::{FollowOptions, ReadingOptions, ThresholdOptions, tell_damage};
+use super::options::{FollowOptions, OutputOptions, ReadingOptions, ThresholdOptions, tell_damage};
 use super::output::{print, print_json, rows};
 use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
@@ -20,7 +21,7 @@ use crate::formats::growing::open_growing;
 use crate::formats::intact::Intact;
 use crate::formats::{self, EventReader};
 use crate::hot_pixels;
-use crate::output_file::{OutputFile, refuse_same_file};
+use crate::output::{Kind, OutputFile};
 use crate::progress::Progress;
 
 /// Encode a recording into frames
@@ -54,6 +55,9 @@ pub struct Encode {
     /// Threads that encode; the frames do not depend on it [default: as many as there are cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+
+    #[command(flatten)]
+    overwrite: OutputOptions,
 
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -347,6 +351,12 @@ impl CodecOptions {
         }
     }
 
+    /// Files that it reads.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        let hot = self.hot_pixels.iter().map(PathBuf::as_path);
+        hot.chain(self.thresholds.files())
+    }
+
     /// The pixels that are never sent.
     ///
     /// # Errors
@@ -377,6 +387,8 @@ impl Encode {
     /// # Errors
     /// A recording that cannot be read, an output that cannot be written.
     pub fn run(self) -> Result<()> {
+        let inputs = iter::once(self.input.as_path()).chain(self.codec.files());
+        self.overwrite.check(&self.output, Kind::Frames, inputs)?;
         let reading = self.reading.reading();
         let follow = self.follow.follow()?;
         let reader = match &follow {
@@ -393,7 +405,6 @@ impl Encode {
             config,
             kernel: self.kernel.kernel(),
         };
-        refuse_same_file(&self.input, &self.output)?;
         let mut out = OutputFile::create(&self.output)?;
         let progress = Progress::new("events");
         let summary = encode(

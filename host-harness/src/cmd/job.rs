@@ -8,10 +8,10 @@ use clap::Args;
 use eecvs_nostd::{Config, Event, Sensor};
 
 use super::encode::CodecOptions;
-use super::options::ReadingOptions;
+use super::options::{OutputOptions, ReadingOptions};
 use crate::formats::{self, EventReader, Skipped};
 use crate::mcu::{self, Connection, Job, Outcome};
-use crate::output_file::{OutputFile, refuse_same_file};
+use crate::output::{Kind, OutputFile};
 use crate::progress::Progress;
 use crate::scene::{Preset, SceneConfig, emulate};
 
@@ -52,6 +52,9 @@ pub struct JobOptions {
     /// frames are unpacked and events accounted for, but not compared
     #[arg(long)]
     drop_when_full: bool,
+
+    #[command(flatten)]
+    overwrite: OutputOptions,
 
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -103,8 +106,10 @@ impl JobOptions {
     /// # Errors
     /// A recording that cannot be read, options that no microcontroller's encoder has.
     pub fn prepare(&self) -> Result<Prepared<'_>> {
-        if let Some((input, output)) = self.input.as_ref().zip(self.output.as_ref()) {
-            refuse_same_file(input, output)?;
+        if let Some(output) = &self.output {
+            let input = self.input.iter().map(PathBuf::as_path);
+            let inputs = input.chain(self.codec.files());
+            self.overwrite.check(output, Kind::Frames, inputs)?;
         }
         let reader = self.open()?;
         let sensor = reader.sensor();

@@ -1,18 +1,19 @@
 //! `eecvs monitor`: density per window, regime, histogram.
 
+use std::iter;
 use std::num::NonZeroU32;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
 use eecvs_nostd::{Density, Regime, Thresholds};
 use serde_json::json;
 
-use super::options::{ReadingOptions, ThresholdOptions};
+use super::options::{OutputOptions, ReadingOptions, ThresholdOptions};
 use super::output::{print, print_json};
 use crate::density_series::{WindowDensity, of_frames, of_recording};
 use crate::frame_file::is_frame_file;
-use crate::output_file::refuse_same_file;
+use crate::output::{self, Kind};
 use crate::report::chart;
 
 /// Columns of a bar.
@@ -45,6 +46,9 @@ pub struct Monitor {
     #[arg(long, value_name = "FILE.svg")]
     histogram: Option<PathBuf>,
 
+    #[command(flatten)]
+    overwrite: OutputOptions,
+
     /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
@@ -57,7 +61,8 @@ impl Monitor {
     /// An input that cannot be read, a chart that cannot be written.
     pub fn run(self) -> Result<()> {
         for chart in self.chart.iter().chain(&self.histogram) {
-            refuse_same_file(&self.input, chart)?;
+            let inputs = iter::once(self.input.as_path()).chain(self.thresholds.files());
+            self.overwrite.check(chart, Kind::Chart, inputs)?;
         }
         let thresholds = self.thresholds.load()?;
         let mut windows = Vec::new();
@@ -74,12 +79,12 @@ impl Monitor {
         let marks = chart_thresholds(thresholds);
         if let Some(path) = &self.chart {
             let svg = chart::density_over_time("Event density", &points(&windows), marks)?.svg;
-            std::fs::write(path, svg).with_context(|| format!("{}", path.display()))?;
+            output::write(path, svg)?;
         }
         if let Some(path) = &self.histogram {
             let densities: Vec<f64> = windows.iter().map(|w| w.density_per_px_s).collect();
             let svg = chart::density_histogram("Event density", &densities, marks)?.svg;
-            std::fs::write(path, svg).with_context(|| format!("{}", path.display()))?;
+            output::write(path, svg)?;
         }
         if self.json {
             return print_json(&json!({

@@ -11,6 +11,7 @@ use eecvs_nostd::{Sensor, Thresholds};
 use super::stop::stop_on_signals;
 use crate::formats::growing::Follow;
 use crate::formats::{BadEvents, Columns, Reading, TimeUnit};
+use crate::output::Kind;
 use crate::thresholds_file::ThresholdsFile;
 
 /// Parses a width or a height.
@@ -51,6 +52,30 @@ pub struct ReadingOptions {
     /// ending with an error at the first
     #[arg(long)]
     pub leave_out_bad_events: bool,
+}
+
+/// Whether a file that is there already may be replaced.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct OutputOptions {
+    /// Replace a file that is there already, when the new one is complete
+    #[arg(long)]
+    pub overwrite: bool,
+}
+
+impl OutputOptions {
+    /// Refuses an output before anything is done, as [`crate::output::check`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn check<'p>(
+        self,
+        output: &Path,
+        kind: Kind,
+        inputs: impl IntoIterator<Item = &'p Path>,
+    ) -> Result<()> {
+        let inputs: Vec<&Path> = inputs.into_iter().collect();
+        crate::output::check(output, kind, self.overwrite, &inputs)
+    }
 }
 
 /// Parses a unit of time.
@@ -140,6 +165,11 @@ pub struct ThresholdOptions {
 }
 
 impl ThresholdOptions {
+    /// The file that it reads, where there is one.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.thresholds.iter().map(PathBuf::as_path)
+    }
+
     /// The thresholds of the file, or those that come with the program.
     ///
     /// # Errors

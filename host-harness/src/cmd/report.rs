@@ -11,6 +11,7 @@ use super::output::print;
 use crate::bench;
 use crate::downstream::segment::classical::Classical;
 use crate::downstream::segment::{Segmenter, open_model};
+use crate::output;
 use crate::progress::Progress;
 use crate::recordings::{self, LeftOut};
 use crate::report::marks::Marks;
@@ -170,7 +171,7 @@ fn segmenter(model: Option<&Path>) -> Result<Box<dyn Segmenter>> {
 fn write(folder: &Path, results: &Results, figures: &[Figure]) -> Result<usize> {
     let save = |name: &str, bytes: &[u8]| {
         let path = folder.join(name);
-        fs::write(&path, bytes).with_context(|| format!("{}: cannot be written", path.display()))
+        output::write(&path, bytes)
     };
     save("report.html", page::html(results, figures)?.as_bytes())?;
     save(

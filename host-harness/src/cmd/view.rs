@@ -1,6 +1,7 @@
 //! `eecvs view`: a recording or frames as moving pictures, original beside decoded.
 
 use std::io::{IsTerminal, stdout};
+use std::iter;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,10 +12,10 @@ use clap::error::ErrorKind;
 use eecvs_nostd::Sensor;
 use serde::Serialize;
 
-use super::options::ReadingOptions;
+use super::options::{OutputOptions, ReadingOptions};
 use super::output::{print, print_json, rows};
 use super::stop::stop_on_signals;
-use crate::output_file::refuse_same_file;
+use crate::output::{Kind, is_same};
 use crate::progress::Progress;
 use crate::report::frame_picture::FrameStyle;
 use crate::view::frames::Frames;
@@ -22,7 +23,7 @@ use crate::view::gif::{self, Gif};
 use crate::view::input::Input;
 use crate::view::palette::Palette;
 use crate::view::picture::{Look, default_upscale};
-use crate::view::png::Pngs;
+use crate::view::png::{Pngs, numbered};
 use crate::view::slices::{Grid, Slices};
 use crate::view::terminal::{self, Room, Terminal, Text};
 use crate::view::{Played, Screen, play};
@@ -96,6 +97,9 @@ pub struct View {
     #[command(flatten)]
     reading: ReadingOptions,
 
+    #[command(flatten)]
+    overwrite: OutputOptions,
+
     /// Print one JSON object instead of the table of what was written
     #[arg(long, requires = "output")]
     json: bool,
@@ -148,12 +152,7 @@ impl View {
             "{name}: stdout is no terminal: give -o OUT.gif, OUT.png or OUT/, or --terminal-columns N"
         );
         if let Some(output) = &self.output {
-            for input in [Some(&self.file), self.decoded.as_ref()]
-                .into_iter()
-                .flatten()
-            {
-                refuse_same_file(input, output)?;
-            }
+            self.check(output)?;
         }
         let reading = self.reading.reading();
         let original = Input::open(&self.file, &reading)?;
@@ -223,6 +222,28 @@ impl View {
         } else {
             print(&table(&summary, self.decoded.is_some()))
         }
+    }
+
+    /// Refuses an output that would replace what is there or what is read.
+    fn check(&self, output: &Path) -> Result<()> {
+        let inputs = iter::once(&self.file).chain(&self.decoded);
+        if !self.is_folder() {
+            let inputs = inputs.map(PathBuf::as_path);
+            return self.overwrite.check(output, Kind::Picture, inputs);
+        }
+        let name = output.display();
+        for input in inputs {
+            ensure!(
+                !is_same(input, output),
+                "{name}: is {}, which is read: give the output another name",
+                input.display()
+            );
+        }
+        ensure!(
+            self.overwrite.overwrite || numbered(output).next().is_none(),
+            "{name}: has pictures already: choose another folder or --overwrite"
+        );
+        Ok(())
     }
 
     fn slice_us(&self) -> u64 {

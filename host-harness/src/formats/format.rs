@@ -4,7 +4,7 @@ use std::fs::File;
 use std::path::Path;
 
 use anyhow::Context;
-use eecvs_nostd::Sensor;
+use eecvs_nostd::{Event, Sensor};
 
 use super::input::{Input, ReadSeek};
 use super::raw_header::{RawHeader, Words};
@@ -13,6 +13,7 @@ use super::{
     EventReader, EventWriter, adjusted, aedat1, aedat2, aedat3, aedat4, arrow, dat, es, evt2, evt3,
     evt4, evt21, frames, hdf5, mat, nmnist, npz, parquet, ros, text,
 };
+use crate::output::Output;
 
 /// Bytes that a format is told by.
 const START_BYTES: usize = 4096;
@@ -173,6 +174,12 @@ pub fn open(path: &Path, reading: impl Into<Reading>) -> anyhow::Result<Box<dyn 
     })
 }
 
+/// The file, or folder of a bag, that holds what a path names.
+#[must_use]
+pub fn file_of(path: &Path) -> &Path {
+    place_inside(path).map_or(path, |(file, _)| file)
+}
+
 /// The file, or folder of a bag, and the rest of a path that leads into it.
 fn place_inside(path: &Path) -> Option<(&Path, String)> {
     let is_bag = |folder: &Path| folder.join(ros::folder::METADATA).is_file();
@@ -265,13 +272,52 @@ fn unknown(start: &Start) -> anyhow::Error {
     )
 }
 
-/// Creates a recording; the extension names the format.
+/// Creates a recording, which has its name when it is finished; the extension names the format.
 ///
 /// # Errors
 /// As [`writable`]; an unwritable file, a sensor that the format cannot hold.
 pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
     let (_, create) = writable(path)?;
+    Kept::create(Output::begin(path)?, create, sensor)
+}
+
+/// As [`create`], but the file is written under its own name: meant for a name that is temporary.
+///
+/// # Errors
+/// As [`create`].
+pub fn create_in_place(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
+    let (_, create) = writable(path)?;
     create(path, sensor)
+}
+
+/// A recording that has its name when it is complete.
+struct Kept {
+    // Closed before the output is removed or renamed.
+    writer: Box<dyn EventWriter>,
+    output: Output,
+}
+
+impl Kept {
+    fn create(
+        output: Output,
+        create: Create,
+        sensor: Sensor,
+    ) -> anyhow::Result<Box<dyn EventWriter>> {
+        let writer = create(output.path(), sensor)?;
+        Ok(Box::new(Self { writer, output }))
+    }
+}
+
+impl EventWriter for Kept {
+    fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
+        self.writer.write(events)
+    }
+
+    fn finish(self: Box<Self>) -> anyhow::Result<()> {
+        let Self { writer, output } = *self;
+        writer.finish()?;
+        output.keep()
+    }
 }
 
 /// How a format's files are created.

@@ -70,10 +70,15 @@ use std::path::Path;
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
+use crate::output::final_path;
+
 pub use aedat4_writer::{Aedat4Writer, Compression};
 pub use arrow::ArrowWriter;
 pub use dat_writer::DatWriter;
-pub use format::{FORMATS, Format, Limits, Opening, Start, create, open, open_source, writable};
+pub use format::{
+    FORMATS, Format, Limits, Opening, Start, create, create_in_place, file_of, open, open_source,
+    writable,
+};
 pub use hdf5::Hdf5Writer;
 pub use mat::MatWriter;
 pub use nmnist::NmnistWriter;
@@ -185,7 +190,7 @@ const BUFFER_BYTES: usize = 1 << 16;
 
 /// Opens `path` for writing; also returns its name for messages.
 fn create_file(path: &Path) -> anyhow::Result<(BufWriter<File>, String)> {
-    let name = path.display().to_string();
+    let name = final_path(path).display().to_string();
     let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
     Ok((BufWriter::with_capacity(BUFFER_BYTES, file), name))
 }

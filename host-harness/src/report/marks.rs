@@ -6,11 +6,12 @@
 //! <!-- NAME end -->
 //! ```
 
-use std::fs;
 use std::ops::Range;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
+
+use crate::output;
 
 /// The two lines around a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -78,7 +79,7 @@ impl Marks {
         let text = self
             .replace(&read(path)?, table)
             .with_context(|| name.to_string())?;
-        fs::write(path, text).with_context(|| format!("{name}: cannot be written"))
+        output::write(path, text)
     }
 
     /// Where the lines between the marks are.
@@ -110,7 +111,7 @@ impl Marks {
 }
 
 fn read(path: &Path) -> Result<String> {
-    fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))
+    std::fs::read_to_string(path).with_context(|| format!("{}: cannot be read", path.display()))
 }
 
 /// Where a document of the project is.
@@ -216,15 +217,15 @@ mod tests {
         let path = folder.path().join("page.md");
         let said = |result: Result<()>| format!("{:#}", result.unwrap_err());
         assert!(said(MARKS.check(&path)).contains("page.md: cannot be read"));
-        fs::write(&path, A).unwrap();
+        std::fs::write(&path, A).unwrap();
         for error in [said(MARKS.check(&path)), said(MARKS.write(&path, "x"))] {
             assert!(error.contains("page.md: there is no line"), "{error}");
         }
-        assert_eq!(fs::read_to_string(&path).unwrap(), A);
-        fs::write(&path, [A, A_END].concat()).unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), A);
+        std::fs::write(&path, [A, A_END].concat()).unwrap();
         MARKS.check(&path).unwrap();
         MARKS.write(&path, "x").unwrap();
-        let text = fs::read_to_string(&path).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
         assert_eq!(text, [A, "x\n", A_END].concat());
     }
 }

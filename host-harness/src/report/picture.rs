@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use font8x8::legacy::BASIC_LEGACY;
 
 /// Red, green and blue.
@@ -130,8 +130,7 @@ impl Picture {
     /// # Errors
     /// I/O; the message names the file.
     pub fn save(&self, path: &Path) -> Result<()> {
-        std::fs::write(path, self.png()?)
-            .with_context(|| format!("{}: cannot write the picture", path.display()))
+        crate::output::write(path, self.png()?)
     }
 }
 

@@ -9,7 +9,7 @@ use gif::{DisposalMethod, Encoder, EncodingError, Repeat};
 use super::Screen;
 use super::frames::Frame;
 use super::picture::{Look, picture};
-use crate::output_file::OutputFile;
+use crate::output::OutputFile;
 use crate::report::picture::{Colour, Picture};
 
 /// Browsers show anything faster at a tenth of it.
@@ -273,7 +273,6 @@ mod tests {
         let path = folder.path().join("a.gif");
         let mut screen = Gif::new(&path, 30, LOOK);
         screen.show(&frame((1, 1), None)).unwrap();
-        assert!(path.exists());
         drop(screen);
         assert!(!path.exists());
         let nowhere = folder.path().join("none").join("a.gif");

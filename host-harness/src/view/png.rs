@@ -8,7 +8,18 @@ use anyhow::{Context, Result};
 use super::Screen;
 use super::frames::Frame;
 use super::picture::{Look, picture};
-use crate::output_file::OutputFile;
+use crate::output::OutputFile;
+
+/// Numbered pictures of a folder, in any order.
+pub fn numbered(folder: &Path) -> impl Iterator<Item = (u64, PathBuf)> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.filter_map(|entry| {
+        let name = entry.file_name();
+        let name = name.to_str()?;
+        let number = name.strip_prefix("frame_")?.strip_suffix(".png")?;
+        Some((number.parse().ok()?, entry.path()))
+    })
+}
 
 /// Where pictures go.
 #[derive(Debug)]
@@ -64,7 +75,15 @@ impl Screen for Pngs {
         Ok(())
     }
 
+    /// Removes pictures of an earlier run that are behind the last one of this.
     fn finish(self: Box<Self>) -> Result<()> {
+        let Place::Folder(folder) = &self.place else {
+            return Ok(());
+        };
+        for (_, stale) in numbered(folder).filter(|(number, _)| *number >= self.frames) {
+            std::fs::remove_file(&stale)
+                .with_context(|| format!("{}: cannot be removed", stale.display()))?;
+        }
         Ok(())
     }
 }
@@ -88,6 +107,11 @@ mod tests {
             let bytes = std::fs::read(path.join(format!("frame_00000{i}.png"))).unwrap();
             assert!(bytes == picture(frame, LOOK).png().unwrap());
         }
+        let mut screen = Box::new(Pngs::folder(&path, LOOK).unwrap());
+        screen.show(&frames[1]).unwrap();
+        screen.finish().unwrap();
+        let left: Vec<_> = numbered(&path).map(|(number, _)| number).collect();
+        assert_eq!(left, [0]);
         let file = folder.path().join("file");
         std::fs::write(&file, "").unwrap();
         let error = Pngs::folder(&file.join("x"), LOOK).unwrap_err();

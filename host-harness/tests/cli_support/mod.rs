@@ -9,6 +9,19 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 use host_harness::formats;
 use serde_json::Value;
 
+/// Commands that write files.
+const WRITING: [&str; 9] = [
+    "calibrate",
+    "convert",
+    "decode",
+    "demo",
+    "emulate",
+    "encode",
+    "mcu",
+    "monitor",
+    "view",
+];
+
 /// A folder in which commands run; gone with the test.
 pub struct Folder(tempfile::TempDir);
 
@@ -48,8 +61,18 @@ impl Folder {
         command
     }
 
-    /// Runs `eecvs` with arguments split at spaces.
+    /// Runs `eecvs` with arguments split at spaces; what writes a file may replace one, since many tests
+    /// write under one name again and again.
     pub fn eecvs(&self, line: &str) -> Outcome {
+        let command = line.split_whitespace().next().unwrap_or_default();
+        match WRITING.contains(&command) && !line.contains(" --overwrite") {
+            true => self.as_is(&format!("{line} --overwrite")),
+            false => self.as_is(line),
+        }
+    }
+
+    /// Runs `eecvs` with no other arguments than these, split at spaces.
+    pub fn as_is(&self, line: &str) -> Outcome {
         let arguments: Vec<&str> = line.split_whitespace().collect();
         let output = self
             .command(&arguments)

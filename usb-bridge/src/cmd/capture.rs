@@ -1,6 +1,6 @@
 //! `eecvs-usb capture`: a device's stream to a file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
 use std::thread;
 use std::time::Duration;
@@ -11,6 +11,7 @@ use host_harness::cmd::encode::{CodecOptions, LimitOptions};
 use host_harness::cmd::output::{print, print_json};
 use host_harness::encode::{Codec, EncodeSummary};
 use host_harness::formats::EventReader;
+use host_harness::output::{Output, keep_or_mark};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use serde::Serialize;
 
@@ -63,7 +64,7 @@ impl Capture {
     ///
     /// # Errors
     /// A device that cannot be used, a link that fails, a file that cannot be written: what came before
-    /// is in the file.
+    /// is in `incomplete-FILE` beside it.
     pub fn run(self) -> Result<()> {
         let kind = record::kind_of(&self.output)?;
         ensure!(
@@ -71,7 +72,7 @@ impl Capture {
             "{}: --encode writes frames: give the file the extension .eecvs",
             self.output.display()
         );
-        record::refuse_existing(&self.output, self.overwrite)?;
+        kind.check(&self.output, self.overwrite, &self.inputs())?;
         let stop = Stop::on_signals()?;
         let source = self.device.open(&self.codec, &stop)?;
         let session = Session::start(
@@ -83,7 +84,7 @@ impl Capture {
         let over = Stop::default();
         let (encoding, outcome) = thread::scope(|scope| {
             scope.spawn(|| show(&session, &over));
-            let outcome = self.record(kind, &session);
+            let outcome = self.keep(kind, &session);
             over.ask();
             match outcome {
                 Ok(encoding) => (encoding, Ok(())),
@@ -106,14 +107,26 @@ impl Capture {
         unstopped.map_or(Ok(()), Err)
     }
 
-    fn record(&self, kind: Kind, session: &Session) -> Result<Option<EncodeSummary>> {
+    /// Files that it reads.
+    fn inputs(&self) -> Vec<&Path> {
+        self.codec.files().collect()
+    }
+
+    /// Records into a file that has its name when the stream ended as it should.
+    fn keep(&self, kind: Kind, session: &Session) -> Result<Option<EncodeSummary>> {
+        let output = Output::begin_live(&self.output, self.overwrite)?;
+        let outcome = self.record(kind, session, output.path());
+        keep_or_mark(output, outcome)
+    }
+
+    fn record(&self, kind: Kind, session: &Session, path: &Path) -> Result<Option<EncodeSummary>> {
         match kind {
-            Kind::Stream => record::stream(session, &self.output).map(|()| None),
-            Kind::Events => record::events(&mut session.reader(), &self.output).map(|_| None),
+            Kind::Stream => record::stream(session, path).map(|()| None),
+            Kind::Events => record::events(&mut session.reader(), path).map(|_| None),
             Kind::Frames if self.device.sets_up() => {
-                let mut out = record::create(&self.output)?;
+                let mut out = record::create(path)?;
                 let kept = record::encoders_frames(session, &mut out);
-                let flushed = record::flush(&mut out, &self.output);
+                let flushed = record::flush(&mut out, path);
                 kept.and(flushed).map(|()| None)
             }
             Kind::Frames => {
@@ -126,7 +139,7 @@ impl Capture {
                     ..Codec::from(config)
                 };
                 let limits = self.limits.limits();
-                record::frames(reader.as_mut(), codec, limits, &self.output).map(Some)
+                record::frames(reader.as_mut(), codec, limits, path).map(Some)
             }
         }
     }

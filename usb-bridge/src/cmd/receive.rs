@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use host_harness::cmd::output::{print, print_json, rows};
+use host_harness::output::{Output, keep_or_mark};
 
 use super::options::StreamOptions;
 use crate::forward::address::Address;
 use crate::forward::receive::{self, Received};
 use crate::link::listen::Listening;
-use crate::record;
+use crate::record::{self, Kind};
 use crate::stop::Stop;
 
 /// Receive frames or raw packets and write them to a file
@@ -43,14 +44,22 @@ impl Receive {
     /// An address that cannot be waited at, a file that cannot be written.
     pub fn run(self) -> Result<()> {
         let kind = record::kind_of(&self.output)?;
-        record::refuse_existing(&self.output, self.overwrite)?;
+        kind.check(&self.output, self.overwrite, &[])?;
         let stop = Stop::on_signals()?;
         let mut link = Listening::open(&self.from)?;
         let limits = receive::Limits {
             once: self.once,
             limits: self.stream.limits(),
         };
-        let (received, outcome) = receive::receive(&mut link, &self.output, kind, limits, &stop);
+        let output = Output::begin_live(&self.output, self.overwrite)?;
+        let (received, outcome) = receive::receive(&mut link, output.path(), kind, limits, &stop);
+        let outcome = if outcome.is_ok() && kind == Kind::Events && received.events == 0 {
+            // A recording is created with its first event, whose sensor it has.
+            let _ = output.leave();
+            Ok(())
+        } else {
+            keep_or_mark(output, outcome)
+        };
         if let Some(warning) = received.warning() {
             eprintln!("eecvs-usb: {}: {warning}", self.from);
         }

@@ -283,7 +283,7 @@ impl Receiver<'_> {
         parser.parse(bytes, &mut self.events);
         let writer = match writer {
             Some(writer) => writer,
-            None => writer.insert(formats::create(self.path, *sensor)?),
+            None => writer.insert(formats::create_in_place(self.path, *sensor)?),
         };
         writer.write(&self.events)
     }

@@ -20,7 +20,7 @@
 //! The file is touched by the ends of transactions alone, and no journal is beside it: a run that is killed
 //! leaves a database of all transactions but the last.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use eecvs_nostd::Sensor;
 use rusqlite::{Connection, OpenFlags, params};
@@ -30,6 +30,7 @@ use super::packets::{
     DEFINITION_ROS2, HASH_ROS2, Message, MessageFile, PacketWriter, Packets, TOPIC, TYPE_ROS2,
 };
 use crate::formats::create_file;
+use crate::output::{final_path, remove_partial};
 
 /// Messages of a transaction, which waits in memory: 10 MB at the most.
 const TRANSACTION_MESSAGES: u64 = 100;
@@ -80,10 +81,12 @@ impl Db3Writer {
         let (_, name) = create_file(path)?;
         let connection = begin(path).map_err(|error| failed(&name, error))?;
         let packets = Packets::new(&name, sensor, Serialisation::Cdr);
-        let file_name = path.file_name().unwrap_or_default().to_string_lossy();
+        let final_path = final_path(path);
+        let file_name = final_path.file_name().unwrap_or_default().to_string_lossy();
         let file = Rows {
             connection,
             name,
+            path: final_path.clone(),
             file_name: file_name.into_owned(),
             messages: 0,
             times_ns: None,
@@ -118,6 +121,8 @@ pub struct Rows {
     connection: Connection,
     /// What messages call the file.
     name: String,
+    /// Where it will be.
+    path: PathBuf,
     /// What the metadata call it.
     file_name: String,
     messages: u64,
@@ -141,10 +146,20 @@ impl MessageFile for Rows {
         };
         end().map_err(|error| failed(&self.name, error))?;
         let Self {
-            connection, name, ..
+            connection,
+            name,
+            path,
+            ..
         } = self;
         let closed = connection.close();
-        closed.map_err(|(_, error)| failed(&name, error))
+        closed.map_err(|(_, error)| failed(&name, error))?;
+        // A journal of an earlier database of this name would be applied to this one.
+        for ending in ["-journal", "-wal", "-shm"] {
+            let mut journal = path.clone().into_os_string();
+            journal.push(ending);
+            remove_partial(Path::new(&journal));
+        }
+        Ok(())
     }
 }
 
@@ -209,7 +224,7 @@ mod tests {
     use eecvs_nostd::{Event, Polarity};
 
     use super::*;
-    use crate::formats::{EventReader, create, open};
+    use crate::formats::{EventReader, create, create_in_place, open};
 
     const SENSOR: Sensor = Sensor {
         width: 346,
@@ -376,7 +391,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.db3");
         let events = some_events(50_000);
-        let mut writer = create(&path, SENSOR).unwrap();
+        let mut writer = create_in_place(&path, SENSOR).unwrap();
         writer.write(&events).unwrap();
         let killed = folder.path().join("killed.db3");
         std::fs::copy(&path, &killed).unwrap();
