@@ -9,7 +9,7 @@ use hdf5_reader::{
     Storage, StorageBuffer, error::Error,
 };
 
-use super::filters;
+use super::{ecf, filters};
 use crate::formats::event_numbers::{NAMES, Row};
 use crate::formats::input::ReadSeek;
 use crate::formats::npy_header::{Dtype, Number};
@@ -336,7 +336,15 @@ impl H5Type for Record {
             return Some(Err(no_number()));
         };
         let records = raw.chunks_exact(size).take(count);
-        Some(Ok(records.map(|bytes| Self::of(bytes, &fields)).collect()))
+        let record = |bytes: &[u8]| {
+            if bytes == ecf::NO_EVENT {
+                return Err(Error::InvalidData(
+                    "the chunk ends before this event".to_owned(),
+                ));
+            }
+            Ok(Self::of(bytes, &fields))
+        };
+        Some(records.map(record).collect())
     }
 }
 
@@ -358,8 +366,7 @@ pub fn read_column(
     start: u64,
     count: u64,
 ) -> Result<Vec<Option<Number>>, Error> {
-    let selections = vec![rows(start, count)];
-    let cells = dataset.read_slice::<Cell>(&SliceInfo { selections })?;
+    let cells = read_rows::<Cell>(dataset, start, count)?;
     Ok(cells.into_iter().map(|Cell(number)| number).collect())
 }
 
@@ -373,7 +380,23 @@ pub fn read_table(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<Row>,
 
 /// t, x, y, p of `count` records of a dataset of compounds.
 pub fn read_records(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<Row>, Error> {
-    let selections = vec![rows(start, count)];
-    let records = dataset.read_slice::<Record>(&SliceInfo { selections })?;
+    let records = read_rows::<Record>(dataset, start, count)?;
     Ok(records.into_iter().map(|Record(row)| row).collect())
+}
+
+/// `count` elements of a dataset of one dimension.
+pub fn read_rows<T: H5Type>(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<T>, Error> {
+    let selections = vec![rows(start, count)];
+    let side = chunk_rows(dataset).unwrap_or(0);
+    let chunk = usize::try_from(side)
+        .unwrap_or(usize::MAX)
+        .saturating_mul(T::element_size(dataset.dtype()))
+        .min(filters::CHUNK_BYTES);
+    let array = ecf::in_chunks_of(chunk, || dataset.read_slice::<T>(&SliceInfo { selections }))?;
+    Ok(array.into_raw_vec_and_offset().0)
+}
+
+/// Rows of a chunk, of a dataset that has chunks.
+pub fn chunk_rows(dataset: &Dataset) -> Option<u64> {
+    dataset.chunks()?.first().copied().map(u64::from)
 }

@@ -5,6 +5,7 @@ use eecvs_nostd::Sensor;
 use hdf5_reader::{Dataset, Datatype, error::Error};
 
 use super::file::{Hdf5, fields, join, number_type, plain, read_column, read_records, read_table};
+use super::prophesee;
 use crate::formats::BATCH_EVENTS;
 use crate::formats::event_numbers::{
     NAMES, P, Row, SAMPLE_ROWS, SAMPLE_TIMES, T, TimeUnit, X, Y, column_order, coordinate,
@@ -186,6 +187,18 @@ impl Plan {
     pub fn dataset(&self, which: usize) -> Option<&Dataset> {
         let all = self.datasets();
         all.get(which).or(all.first())
+    }
+
+    /// Prophesee's compounds, if the events are such and their times count as they stand.
+    pub fn compounds(&self) -> Option<&Dataset> {
+        match &self.source {
+            Source::Records(dataset)
+                if self.unit == TimeUnit::default() && prophesee::is_known(dataset.dtype()) =>
+            {
+                Some(dataset)
+            }
+            _ => None,
+        }
     }
 
     fn times_in_seconds(&self, file: &Hdf5) -> anyhow::Result<bool> {
