@@ -83,10 +83,7 @@ fn open_file(path: &Path) -> anyhow::Result<Box<dyn Messages>> {
             let file = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
             Ok(Box::new(mcap::Mcap::new(Box::new(file), &name)?))
         }
-        #[cfg(feature = "db3")]
         Some("db3") => Ok(Box::new(db3::Database::new(path, &name)?)),
-        #[cfg(not(feature = "db3"))]
-        Some("db3") => anyhow::bail!("{}", db3::refusal(&name)),
         _ => anyhow::bail!("{name}: byte 0: a bag's files are .mcap or .db3: decompress it first"),
     }
 }
