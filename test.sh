@@ -27,7 +27,7 @@ set -euo pipefail
 cd "$(dirname "$0")"
 
 # Features that are off by default but tested, in every build of the whole workspace alike.
-FEATURES=(--features host-harness/onnx,host-harness/db3)
+FEATURES=(--features host-harness/onnx)
 
 # Notes what a stage leaves out.
 skip() { echo "skipped: $1"; echo "$1" >>"$SKIPPED"; }

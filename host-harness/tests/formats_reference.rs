@@ -143,7 +143,6 @@ fn rosbag() {
     check("gen31_vga_rosbag_moderate", "test_events_1.bag", "rosbag");
 }
 
-#[cfg(feature = "db3")]
 #[test]
 fn rosbag2_db3() {
     check(

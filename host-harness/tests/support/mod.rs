@@ -22,7 +22,6 @@ pub const FORMATS: &[(&str, Sensor)] = &[
     ("es", of(304, 240)),
     ("bin", of(34, 34)),
     ("mcap", of(2048, 2048)),
-    #[cfg(feature = "db3")]
     ("db3", of(640, 480)),
     ("bag", of(640, 480)),
     ("csv", of(2048, 2048)),

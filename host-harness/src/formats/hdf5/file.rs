@@ -9,7 +9,7 @@ use hdf5_reader::{
     SliceInfoElem, Storage, StorageBuffer, error::Error,
 };
 
-use super::filters;
+use super::{ecf, filters};
 use crate::formats::event_numbers::{Row, find_names};
 use crate::formats::input::ReadSeek;
 use crate::formats::npy_header::{Dtype, Number};
@@ -421,7 +421,15 @@ impl H5Type for Record {
             return Some(Err(no_number()));
         };
         let records = raw.chunks_exact(size).take(count);
-        Some(Ok(records.map(|bytes| Self::of(bytes, &fields)).collect()))
+        let record = |bytes: &[u8]| {
+            if bytes == ecf::NO_EVENT {
+                return Err(Error::InvalidData(
+                    "the chunk ends before this event".to_owned(),
+                ));
+            }
+            Ok(Self::of(bytes, &fields))
+        };
+        Some(records.map(record).collect())
     }
 }
 
@@ -510,15 +518,31 @@ pub fn read_records(
     count: u64,
     given: Option<&[String; 4]>,
 ) -> Result<Vec<Row>, Error> {
-    let selections = vec![rows(start, count)];
     if given.is_none() {
-        let records = dataset.read_slice::<Record>(&SliceInfo { selections })?;
+        let records = read_rows::<Record>(dataset, start, count)?;
         return Ok(records.into_iter().map(|Record(row)| row).collect());
     }
     let (fields, _) = fields(dataset.dtype(), given).ok_or_else(no_number)?;
-    let records = dataset.read_slice::<Bytes>(&SliceInfo { selections })?;
+    let records = read_rows::<Bytes>(dataset, start, count)?;
     Ok(records
         .into_iter()
         .map(|Bytes(bytes)| Record::of(&bytes, &fields).0)
         .collect())
+}
+
+/// `count` elements of a dataset of one dimension.
+pub fn read_rows<T: H5Type>(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<T>, Error> {
+    let selections = vec![rows(start, count)];
+    let side = chunk_rows(dataset).unwrap_or(0);
+    let chunk = usize::try_from(side)
+        .unwrap_or(usize::MAX)
+        .saturating_mul(T::element_size(dataset.dtype()))
+        .min(filters::CHUNK_BYTES);
+    let array = ecf::in_chunks_of(chunk, || dataset.read_slice::<T>(&SliceInfo { selections }))?;
+    Ok(array.into_raw_vec_and_offset().0)
+}
+
+/// Rows of a chunk, of a dataset that has chunks.
+pub fn chunk_rows(dataset: &Dataset) -> Option<u64> {
+    dataset.chunks()?.first().copied().map(u64::from)
 }

@@ -3,7 +3,7 @@
 
 use hdf5_reader::{FilterRegistry, error::Error};
 
-use super::{blosc, copies};
+use super::{blosc, copies, ecf};
 use crate::formats::unpack;
 
 /// Largest chunk, unpacked: HDF5's library writes some MB at the most unless told otherwise.
@@ -13,15 +13,15 @@ const LZF: u16 = 32000;
 const BLOSC: u16 = 32001;
 const LZ4: u16 = 32004;
 const ZSTANDARD: u16 = 32015;
+const ECF: u16 = 36559;
 
 /// Names of filters that compress and are not read: the filter's number, what it is called.
-const NOT_READ: [(&str, &str); 6] = [
+const NOT_READ: [(&str, &str); 5] = [
     ("307", "bzip2"),
     ("32008", "bitshuffle"),
     ("32013", "ZFP"),
     ("32026", "Blosc2"),
     ("32022", "SZ3"),
-    ("36559", "Prophesee's ECF"),
 ];
 
 /// What the user can do about a filter that is not read.
@@ -46,6 +46,7 @@ pub fn registry() -> FilterRegistry {
     add(ZSTANDARD, "Zstandard", |bytes| {
         damaged(unpack::zstandard(bytes, CHUNK_BYTES))
     });
+    add(ECF, "ECF", ecf::unpack);
     registry
 }
 

@@ -5,6 +5,7 @@ use eecvs_nostd::Sensor;
 use hdf5_reader::{Dataset, Datatype, error::Error};
 
 use super::file::{Hdf5, fields, join, number_type, plain, read_column, read_records, read_table};
+use super::prophesee;
 use crate::formats::BATCH_EVENTS;
 use crate::formats::event_numbers::{
     P, Row, SAMPLE_ROWS, T, X, Y, column_order, find_names, given_names, names_taken, order_taken,
@@ -266,6 +267,18 @@ impl Plan {
     pub fn dataset(&self, which: usize) -> Option<&Dataset> {
         let all = self.datasets();
         all.get(which).or(all.first())
+    }
+
+    /// Prophesee's compounds, if the events are such.
+    pub fn compounds(&self) -> Option<&Dataset> {
+        match &self.source {
+            Source::Records(dataset, given)
+                if given.is_none() && prophesee::is_known(dataset.dtype()) =>
+            {
+                Some(dataset)
+            }
+            _ => None,
+        }
     }
 
     /// The type of the times.

@@ -29,25 +29,27 @@
 
 mod blosc;
 mod copies;
+mod ecf;
 mod file;
 mod filters;
 mod layout;
+mod prophesee;
 mod structures;
 mod writer;
 
-use eecvs_nostd::Sensor;
+use eecvs_nostd::{Event, Sensor};
 
 pub use self::file::MAGIC;
 pub use self::writer::Hdf5Writer;
 
 use self::file::Hdf5;
 use self::layout::Plan;
-use crate::formats::Skipped;
 use crate::formats::event_numbers::T;
 use crate::formats::format::{Format, Limits, Opening, Start};
 use crate::formats::input::{Batch, Decode, ReadSeek, Reader};
 use crate::formats::reading::{Assumption, Reading};
 use crate::formats::row_events::RowEvents;
+use crate::formats::{BATCH_EVENTS, Skipped};
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -114,6 +116,11 @@ impl Hdf5Reader {
             file,
             plan,
             rows,
+            is_plain: *reading
+                == Reading {
+                    size: reading.size,
+                    ..Reading::default()
+                },
             events: 0,
         }))
     }
@@ -124,10 +131,33 @@ pub struct Hdf5Decoder {
     file: Hdf5,
     plan: Plan,
     rows: RowEvents,
+    /// Nothing is to be corrected: records may be taken as they stand.
+    is_plain: bool,
     events: u64,
 }
 
 impl Hdf5Decoder {
+    /// Appends events of Prophesee's compounds, up to the batch's end or the first piece that is not so
+    /// plain.
+    fn decode_compounds(&mut self, batch: &mut Batch<'_>) {
+        let Some(dataset) = self.plan.compounds().filter(|_| self.is_plain) else {
+            return;
+        };
+        let chunk = file::chunk_rows(dataset).unwrap_or(BATCH_EVENTS as u64);
+        while batch.room() > 0 && self.events < self.plan.events {
+            // A chunk at a time, which is still in the processor's cache when it is looked at.
+            let to_end = chunk - self.events.checked_rem(chunk).unwrap_or(0);
+            let count = (self.plan.events - self.events)
+                .min(batch.room() as u64)
+                .min(to_end.max(1));
+            let append = |events: &mut dyn ExactSizeIterator<Item = Event>| batch.extend(events);
+            if !prophesee::read(dataset, self.events, count, self.rows.sensor, append) {
+                return;
+            }
+            self.events += count;
+        }
+    }
+
     fn error(&self, which: usize, what: &str) -> anyhow::Error {
         let what = format!("event {}: {what}", self.events);
         match self.plan.dataset(which) {
@@ -165,6 +195,7 @@ impl Decode for Hdf5Decoder {
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> anyhow::Result<()> {
+        self.decode_compounds(batch);
         loop {
             let count = (self.plan.events - self.events).min(batch.room() as u64);
             let rows = self.plan.read_whole(self.events, count);

@@ -6,19 +6,23 @@
 //! in it stands anywhere, or in a journal beside it.
 //!
 //! SQLite itself reads the file: what a database may be (journals, overflow pages, versions) is no
-//! matter for a second reader. Its C library would make every first build longer, so this format is a
-//! feature of the build (`db3`); without it a database is told and refused, as is writing one.
+//! matter for a second reader. It is built from its source, in every build.
 
+use std::io::{Seek, SeekFrom};
 use std::path::Path;
 
+use anyhow::Context;
 use eecvs_nostd::Sensor;
+use rusqlite::{Connection, OpenFlags, OptionalExtension};
 
-#[cfg(feature = "db3")]
 use super::db3_writer::Db3Writer;
+use super::decoder::{MESSAGE_MAX, Messages, RosReader};
 use super::fields::Serialisation;
+use super::message::Kind;
 use super::packets::t_max_us;
-use crate::formats::EventWriter;
-use crate::formats::format::{Format, Limits};
+use super::topics::{Topics, Use};
+use crate::formats::format::{Format, Limits, Opening};
+use crate::formats::{EventReader, EventWriter, Skipped};
 
 /// First bytes of every SQLite database.
 pub const MAGIC: &[u8] = b"SQLite format 3\0";
@@ -29,7 +33,7 @@ pub const FORMAT: Format = Format {
     title: "ROS 2 bag in SQLite",
     endings: &[".db3"],
     detect: |start| start.begins(MAGIC),
-    open: reader::open,
+    open,
     has_places: true,
     grows: false,
     limits: Limits {
@@ -39,272 +43,220 @@ pub const FORMAT: Format = Format {
     create: Some(create),
 };
 
-/// Why a build without SQLite reads no database.
-#[cfg(not(feature = "db3"))]
-#[must_use]
-pub fn refusal(name: &str) -> String {
-    format!(
-        "{name}: byte 0: SQLite is not part of this build: build with `--features db3`, or convert \
-         the bag to .mcap (ros2 bag convert)"
-    )
-}
-
 /// Creates a database.
-#[cfg(feature = "db3")]
 fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
     Ok(Box::new(Db3Writer::create(path, sensor)?))
 }
 
-/// Refuses.
-#[cfg(not(feature = "db3"))]
-fn create(path: &Path, _: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
-    anyhow::bail!(
-        "{}: SQLite is not part of this build: build with `--features db3`, or write .mcap",
-        path.display()
-    )
+/// Opens a database.
+fn open(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
+    let Opening {
+        mut source,
+        name,
+        path,
+        place,
+        reading,
+    } = opening;
+    let size = reading.size;
+    let database = match path {
+        Some(path) => Database::new(path, name)?,
+        None => {
+            // SQLite wants a file of its own.
+            let context = || format!("{name}: byte 0: cannot be copied to a temporary file");
+            let mut copy = tempfile::NamedTempFile::new().with_context(context)?;
+            source.seek(SeekFrom::Start(0)).with_context(context)?;
+            std::io::copy(&mut source, copy.as_file_mut()).with_context(context)?;
+            let mut database = Database::new(copy.path(), name)?;
+            database.copy = Some(copy);
+            database
+        }
+    };
+    let reader = RosReader::new(Box::new(database), place, size)?;
+    Ok(Box::new(reader))
 }
 
-#[cfg(not(feature = "db3"))]
-mod reader {
-    use crate::formats::EventReader;
-    use crate::formats::format::Opening;
+/// The messages of a database.
+pub struct Database {
+    connection: Connection,
+    name: String,
+    /// The wanted topic's numbers and kind, once asked.
+    topics: Option<Vec<(i64, Kind)>>,
+    /// Number of the latest message.
+    message: i64,
+    /// Of the first and the last message, once places were asked for.
+    numbers: Option<(i64, i64)>,
+    /// Held so long as it is read.
+    copy: Option<tempfile::NamedTempFile>,
+}
 
-    /// Refuses.
-    pub fn open(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
-        anyhow::bail!("{}", super::refusal(opening.name))
+impl Database {
+    /// Opens the database at `path`, which messages call `name`.
+    ///
+    /// # Errors
+    /// No database.
+    pub fn new(path: &Path, name: &str) -> anyhow::Result<Self> {
+        let context = || format!("{name}: byte 0: SQLite cannot open it");
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = Connection::open_with_flags(path, flags).with_context(context)?;
+        let page: i64 = connection
+            .pragma_query_value(None, "page_size", |row| row.get(0))
+            .with_context(context)?;
+        let length = std::fs::metadata(path).with_context(context)?.len();
+        // SQLite takes what is missing of the last page for zeros.
+        anyhow::ensure!(
+            length.checked_rem(page.unsigned_abs()) == Some(0),
+            "{name}: byte {length}: truncated within a page of the database: copy it anew"
+        );
+        Ok(Self {
+            connection,
+            name: name.to_owned(),
+            topics: None,
+            message: i64::MIN,
+            numbers: None,
+            copy: None,
+        })
+    }
+
+    fn ask_topics(
+        &self,
+        topics: &mut Topics,
+        skipped: &mut Skipped,
+    ) -> anyhow::Result<Vec<(i64, Kind)>> {
+        let ask = "SELECT id, name, type, serialization_format FROM topics ORDER BY id";
+        let rows = self.connection.prepare(ask).and_then(|mut statement| {
+            let row = |row: &rusqlite::Row<'_>| {
+                let text = |i| row.get::<_, String>(i);
+                Ok((row.get::<_, i64>(0)?, text(1)?, text(2)?, text(3)?))
+            };
+            statement.query_map([], row)?.collect::<Result<Vec<_>, _>>()
+        });
+        let rows =
+            rows.with_context(|| format!("{}: byte 0: no bag of ROS 2 (table topics)", self.name))?;
+        let mut read = Vec::new();
+        for (id, topic, kind, serialisation) in rows {
+            match topics.meet(&topic, &kind) {
+                Ok(Use::Read(kind)) if serialisation == "cdr" => read.push((id, kind)),
+                Ok(Use::Read(_)) => {
+                    let name = &self.name;
+                    anyhow::bail!(
+                        "{name}: byte 0: topic {topic} is serialised as {serialisation:?}: \
+                         record it as cdr"
+                    );
+                }
+                Ok(Use::Skip(what)) => skipped.add(what, self.count(id)?),
+                Err(what) => anyhow::bail!("{}: byte 0: {what}", self.name),
+            }
+        }
+        Ok(read)
+    }
+
+    fn count(&self, topic: i64) -> anyhow::Result<u64> {
+        let ask = "SELECT count(*) FROM messages WHERE topic_id = ?1";
+        let count = self.connection.query_row(ask, [topic], |row| row.get(0));
+        count
+            .map(|count: i64| u64::try_from(count).unwrap_or(0))
+            .with_context(|| self.broken())
+    }
+
+    /// Numbers of the first and the last message.
+    fn numbers(&self) -> anyhow::Result<Option<(i64, i64)>> {
+        let ask = "SELECT min(id), max(id) FROM messages";
+        let numbers = self.connection.query_row(ask, [], |row| {
+            let (first, last): (Option<i64>, Option<i64>) = (row.get(0)?, row.get(1)?);
+            Ok(first.zip(last))
+        });
+        numbers.with_context(|| self.broken())
+    }
+
+    fn broken(&self) -> String {
+        format!(
+            "{}: byte 0 behind message {}: SQLite cannot read on: the database is damaged",
+            self.name, self.message
+        )
     }
 }
 
-#[cfg(feature = "db3")]
-pub use reader::Database;
+impl Messages for Database {
+    fn format(&self) -> &'static str {
+        FORMAT.name
+    }
 
-#[cfg(feature = "db3")]
-mod reader {
-    use std::io::{Seek, SeekFrom};
-    use std::path::Path;
-
-    use anyhow::Context;
-    use rusqlite::{Connection, OpenFlags, OptionalExtension};
-
-    use super::super::decoder::{MESSAGE_MAX, Messages, RosReader};
-    use super::super::fields::Serialisation;
-    use super::super::message::Kind;
-    use super::super::topics::{Topics, Use};
-    use super::FORMAT;
-    use crate::formats::format::Opening;
-    use crate::formats::{EventReader, Skipped};
-
-    pub fn open(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
-        let Opening {
-            mut source,
-            name,
-            path,
-            place,
-            reading,
-        } = opening;
-        let size = reading.size;
-        let database = match path {
-            Some(path) => Database::new(path, name)?,
-            None => {
-                // SQLite wants a file of its own.
-                let context = || format!("{name}: byte 0: cannot be copied to a temporary file");
-                let mut copy = tempfile::NamedTempFile::new().with_context(context)?;
-                source.seek(SeekFrom::Start(0)).with_context(context)?;
-                std::io::copy(&mut source, copy.as_file_mut()).with_context(context)?;
-                let mut database = Database::new(copy.path(), name)?;
-                database.copy = Some(copy);
-                database
+    fn next(
+        &mut self,
+        message: &mut Vec<u8>,
+        topics: &mut Topics,
+        skipped: &mut Skipped,
+    ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
+        let wanted = match self.topics.take() {
+            Some(wanted) => wanted,
+            None => self.ask_topics(topics, skipped)?,
+        };
+        let ask = "SELECT id, topic_id, length(data), data FROM messages WHERE id > ?1 \
+                   ORDER BY id LIMIT 1";
+        let found = loop {
+            let found = self.connection.prepare_cached(ask).and_then(|mut ask| {
+                let row = ask.query_row([self.message], |row| {
+                    let (id, topic): (i64, i64) = (row.get(0)?, row.get(1)?);
+                    let kind = wanted.iter().find(|(id, _)| *id == topic);
+                    let length: i64 = row.get(2)?;
+                    if kind.is_some() && length <= MESSAGE_MAX as i64 {
+                        message.clear();
+                        message.extend_from_slice(row.get_ref(3)?.as_blob()?);
+                    }
+                    Ok((id, kind.map(|(_, kind)| *kind), length))
+                });
+                row.optional()
+            });
+            match found.with_context(|| self.broken())? {
+                None => break None,
+                Some((id, kind, length)) => {
+                    // SQLite trusts the order in its pages, and would give the same ones for ever.
+                    if self.message != i64::MIN && id <= self.message {
+                        anyhow::bail!(self.broken());
+                    }
+                    self.message = id;
+                    if let Some(kind) = kind {
+                        if length > MESSAGE_MAX as i64 {
+                            let what = format!("{length} bytes are too many: it is damaged");
+                            return Err(self.error(0, &what));
+                        }
+                        break Some((kind, Serialisation::Cdr));
+                    }
+                }
             }
         };
-        let reader = RosReader::new(Box::new(database), place, size)?;
-        Ok(Box::new(reader))
+        self.topics = Some(wanted);
+        Ok(found)
     }
 
-    /// The messages of a database.
-    pub struct Database {
-        connection: Connection,
-        name: String,
-        /// The wanted topic's numbers and kind, once asked.
-        topics: Option<Vec<(i64, Kind)>>,
-        /// Number of the latest message.
-        message: i64,
-        /// Of the first and the last message, once places were asked for.
-        numbers: Option<(i64, i64)>,
-        /// Held so long as it is read.
-        copy: Option<tempfile::NamedTempFile>,
+    fn places(&mut self, topics: &mut Topics) -> anyhow::Result<Option<u64>> {
+        if self.topics.is_none() {
+            self.topics = Some(self.ask_topics(topics, &mut Skipped::default())?);
+        }
+        self.numbers = self.numbers()?;
+        // Every number is a place, whether a message has it or not: the next one is found.
+        Ok(self
+            .numbers
+            .map(|(first, last)| last.abs_diff(first).saturating_add(1)))
     }
 
-    impl Database {
-        /// Opens the database at `path`, which messages call `name`.
-        ///
-        /// # Errors
-        /// No database.
-        pub fn new(path: &Path, name: &str) -> anyhow::Result<Self> {
-            let context = || format!("{name}: byte 0: SQLite cannot open it");
-            let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-            let connection = Connection::open_with_flags(path, flags).with_context(context)?;
-            let page: i64 = connection
-                .pragma_query_value(None, "page_size", |row| row.get(0))
-                .with_context(context)?;
-            let length = std::fs::metadata(path).with_context(context)?.len();
-            // SQLite takes what is missing of the last page for zeros.
-            anyhow::ensure!(
-                length.checked_rem(page.unsigned_abs()) == Some(0),
-                "{name}: byte {length}: truncated within a page of the database: copy it anew"
-            );
-            Ok(Self {
-                connection,
-                name: name.to_owned(),
-                topics: None,
-                message: i64::MIN,
-                numbers: None,
-                copy: None,
-            })
+    fn go(&mut self, place: u64, _: &mut Topics) -> anyhow::Result<()> {
+        if let Some((first, last)) = self.numbers {
+            let message = first.saturating_add_unsigned(place).min(last);
+            self.message = message.saturating_sub(1);
         }
-
-        fn ask_topics(
-            &self,
-            topics: &mut Topics,
-            skipped: &mut Skipped,
-        ) -> anyhow::Result<Vec<(i64, Kind)>> {
-            let ask = "SELECT id, name, type, serialization_format FROM topics ORDER BY id";
-            let rows = self.connection.prepare(ask).and_then(|mut statement| {
-                let row = |row: &rusqlite::Row<'_>| {
-                    let text = |i| row.get::<_, String>(i);
-                    Ok((row.get::<_, i64>(0)?, text(1)?, text(2)?, text(3)?))
-                };
-                statement.query_map([], row)?.collect::<Result<Vec<_>, _>>()
-            });
-            let rows = rows.with_context(|| {
-                format!("{}: byte 0: no bag of ROS 2 (table topics)", self.name)
-            })?;
-            let mut read = Vec::new();
-            for (id, topic, kind, serialisation) in rows {
-                match topics.meet(&topic, &kind) {
-                    Ok(Use::Read(kind)) if serialisation == "cdr" => read.push((id, kind)),
-                    Ok(Use::Read(_)) => {
-                        let name = &self.name;
-                        anyhow::bail!(
-                            "{name}: byte 0: topic {topic} is serialised as {serialisation:?}: \
-                             record it as cdr"
-                        );
-                    }
-                    Ok(Use::Skip(what)) => skipped.add(what, self.count(id)?),
-                    Err(what) => anyhow::bail!("{}: byte 0: {what}", self.name),
-                }
-            }
-            Ok(read)
-        }
-
-        fn count(&self, topic: i64) -> anyhow::Result<u64> {
-            let ask = "SELECT count(*) FROM messages WHERE topic_id = ?1";
-            let count = self.connection.query_row(ask, [topic], |row| row.get(0));
-            count
-                .map(|count: i64| u64::try_from(count).unwrap_or(0))
-                .with_context(|| self.broken())
-        }
-
-        /// Numbers of the first and the last message.
-        fn numbers(&self) -> anyhow::Result<Option<(i64, i64)>> {
-            let ask = "SELECT min(id), max(id) FROM messages";
-            let numbers = self.connection.query_row(ask, [], |row| {
-                let (first, last): (Option<i64>, Option<i64>) = (row.get(0)?, row.get(1)?);
-                Ok(first.zip(last))
-            });
-            numbers.with_context(|| self.broken())
-        }
-
-        fn broken(&self) -> String {
-            format!(
-                "{}: byte 0 behind message {}: SQLite cannot read on: the database is damaged",
-                self.name, self.message
-            )
-        }
+        Ok(())
     }
 
-    impl Messages for Database {
-        fn format(&self) -> &'static str {
-            FORMAT.name
-        }
-
-        fn next(
-            &mut self,
-            message: &mut Vec<u8>,
-            topics: &mut Topics,
-            skipped: &mut Skipped,
-        ) -> anyhow::Result<Option<(Kind, Serialisation)>> {
-            let wanted = match self.topics.take() {
-                Some(wanted) => wanted,
-                None => self.ask_topics(topics, skipped)?,
-            };
-            let ask = "SELECT id, topic_id, length(data), data FROM messages WHERE id > ?1 \
-                       ORDER BY id LIMIT 1";
-            let found = loop {
-                let found = self.connection.prepare_cached(ask).and_then(|mut ask| {
-                    let row = ask.query_row([self.message], |row| {
-                        let (id, topic): (i64, i64) = (row.get(0)?, row.get(1)?);
-                        let kind = wanted.iter().find(|(id, _)| *id == topic);
-                        let length: i64 = row.get(2)?;
-                        if kind.is_some() && length <= MESSAGE_MAX as i64 {
-                            message.clear();
-                            message.extend_from_slice(row.get_ref(3)?.as_blob()?);
-                        }
-                        Ok((id, kind.map(|(_, kind)| *kind), length))
-                    });
-                    row.optional()
-                });
-                match found.with_context(|| self.broken())? {
-                    None => break None,
-                    Some((id, kind, length)) => {
-                        // SQLite trusts the order in its pages, and would give the same ones for ever.
-                        if self.message != i64::MIN && id <= self.message {
-                            anyhow::bail!(self.broken());
-                        }
-                        self.message = id;
-                        if let Some(kind) = kind {
-                            if length > MESSAGE_MAX as i64 {
-                                let what = format!("{length} bytes are too many: it is damaged");
-                                return Err(self.error(0, &what));
-                            }
-                            break Some((kind, Serialisation::Cdr));
-                        }
-                    }
-                }
-            };
-            self.topics = Some(wanted);
-            Ok(found)
-        }
-
-        fn places(&mut self, topics: &mut Topics) -> anyhow::Result<Option<u64>> {
-            if self.topics.is_none() {
-                self.topics = Some(self.ask_topics(topics, &mut Skipped::default())?);
-            }
-            self.numbers = self.numbers()?;
-            // Every number is a place, whether a message has it or not: the next one is found.
-            Ok(self
-                .numbers
-                .map(|(first, last)| last.abs_diff(first).saturating_add(1)))
-        }
-
-        fn go(&mut self, place: u64, _: &mut Topics) -> anyhow::Result<()> {
-            if let Some((first, last)) = self.numbers {
-                let message = first.saturating_add_unsigned(place).min(last);
-                self.message = message.saturating_sub(1);
-            }
-            Ok(())
-        }
-
-        fn error(&self, at: usize, what: &str) -> anyhow::Error {
-            let Self { name, message, .. } = self;
-            match *message {
-                i64::MIN => anyhow::anyhow!("{name}: byte {at}: {what}"),
-                message => anyhow::anyhow!("{name}: message {message}, byte {at}: {what}"),
-            }
+    fn error(&self, at: usize, what: &str) -> anyhow::Error {
+        let Self { name, message, .. } = self;
+        match *message {
+            i64::MIN => anyhow::anyhow!("{name}: byte {at}: {what}"),
+            message => anyhow::anyhow!("{name}: message {message}, byte {at}: {what}"),
         }
     }
 }
-
-#[cfg(all(test, feature = "db3"))]
+#[cfg(test)]
 mod tests {
     use std::path::Path;
 
@@ -427,21 +379,5 @@ mod tests {
             .err()
             .unwrap();
         assert!(refused.to_string().contains("SQLite"), "{refused}");
-    }
-}
-
-#[cfg(all(test, not(feature = "db3")))]
-mod tests {
-    use crate::formats::create;
-
-    #[test]
-    fn a_build_without_sqlite_says_so() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.db3");
-        let sensor = eecvs_nostd::Sensor::new(346, 260).unwrap();
-        let refused = create(&path, sensor).err().unwrap().to_string();
-        assert!(refused.contains("--features db3"), "{refused}");
-        assert!(refused.contains(".mcap"), "{refused}");
-        assert!(!path.exists());
     }
 }

@@ -124,10 +124,7 @@ fn open_plain(path: &Path, called: &Path, name: &str) -> anyhow::Result<Box<dyn 
             let file = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
             Ok(Box::new(mcap::Mcap::new(Box::new(file), name)?))
         }
-        #[cfg(feature = "db3")]
         Some("db3") => Ok(Box::new(db3::Database::new(path, name)?)),
-        #[cfg(not(feature = "db3"))]
-        Some("db3") => anyhow::bail!("{}", db3::refusal(name)),
         _ => anyhow::bail!("{name}: byte 0: a bag's files are .mcap or .db3, or these in .zstd"),
     }
 }

@@ -10,7 +10,6 @@ pub mod bag;
 mod bag_writer;
 pub mod chunk;
 pub mod db3;
-#[cfg(feature = "db3")]
 mod db3_writer;
 pub mod decoder;
 pub mod fields;
