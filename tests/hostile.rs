@@ -13,6 +13,7 @@ use host_harness::frame_file::FrameReader;
 fn header() -> Header {
     Header {
         truncated: false,
+        begins_run: false,
         last: false,
         regime: Regime::Sparse,
         mode: Mode::Transform,

@@ -19,8 +19,10 @@ use crate::window::EVENTS_MAX;
 
 /// First two bytes of a frame.
 pub const SYNC: [u8; 2] = [0xEE, 0xC5];
-/// Version of the wire format.
-pub const VERSION: u8 = 2;
+/// Version of the wire format whose header ends with further flags.
+pub const VERSION: u8 = 3;
+/// Version of a frame that has none of them.
+pub const VERSION_PLAIN: u8 = 2;
 /// Largest frame, sync to CRC-32.
 pub const FRAME_BYTES_MAX: usize = 1 << 24;
 /// Largest header, sync to CRC-16.
@@ -63,6 +65,8 @@ pub struct OrderSection {
 pub struct Header {
     /// The window closed early because its buffer was full.
     pub truncated: bool,
+    /// A new run begins with the window: the clock fell back before it, so t0 may be any.
+    pub begins_run: bool,
     /// No further frame of this window follows.
     pub last: bool,
     /// Regime of the window's density.
@@ -94,7 +98,7 @@ pub struct Header {
     pub events: u32,
     /// Active pixels in this frame; 0 in a hybrid one, whose payload tells.
     pub pixels: u32,
-    /// Events too old for their window, since the previous frame.
+    /// Events too old for their window, since the previous frame; 0 where a run begins for them.
     pub late: u32,
     /// Events that a filter kept out, since the previous frame.
     pub filtered: u32,
@@ -171,6 +175,9 @@ const PART: u8 = 1 << 4;
 const COUNTS: u8 = 1 << 5;
 const SHAPE: u8 = 1 << 6;
 const ORDER: u8 = 1 << 7;
+
+/// Further flags.
+const BEGINS_RUN: u8 = 1;
 
 /// Codes of the mode.
 const TRANSFORM: u8 = 0;
@@ -347,6 +354,15 @@ impl Header {
         }
     }
 
+    /// The least version that can say it.
+    const fn version(&self) -> u8 {
+        if self.begins_run {
+            VERSION
+        } else {
+            VERSION_PLAIN
+        }
+    }
+
     /// Writes the fields to the start of `out`; their length.
     fn write(&self, payload_bytes: u32, out: &mut [u8]) -> postcard::Result<usize> {
         let is_part = self.part > 0 || !self.last || self.events != self.window_events;
@@ -432,12 +448,16 @@ impl Header {
                 put(&|out| Ok(postcard::to_slice(&events, out)?.len()))?;
             }
         }
+        if self.version() == VERSION {
+            let further = u8::from(self.begins_run) * BEGINS_RUN;
+            put(&|out| Ok(postcard::to_slice(&further, out)?.len()))?;
+        }
         Ok(len)
     }
 
     /// The header and the length of its payload; `None` where a field is out of its range, told in a
     /// way that no encoder has, or bytes are left.
-    fn parse(fields: &[u8]) -> Option<(Self, u32)> {
+    fn parse(version: u8, fields: &[u8]) -> Option<(Self, u32)> {
         fn take<'b, T: Deserialize<'b>>(bytes: &mut &'b [u8]) -> Option<T> {
             let (fields, rest) = postcard::take_from_bytes(bytes).ok()?;
             *bytes = rest;
@@ -532,12 +552,16 @@ impl Header {
         } else {
             None
         };
-        if !rest.is_empty() {
+        // A frame without further flags has the other version.
+        let further = if version == VERSION { take(rest)? } else { 0 };
+        let is_known = further == if version == VERSION { BEGINS_RUN } else { 0 };
+        if !is_known || !rest.is_empty() {
             return None;
         }
         let transform = Transform::from_code(shape.transform)?;
         let header = Self {
             truncated: has(TRUNCATED),
+            begins_run: further & BEGINS_RUN != 0,
             last: has(LAST),
             regime,
             mode,
@@ -605,7 +629,7 @@ pub fn seal(
         .write(payload_bytes as u32, fields)
         .map_err(|_| NoRoom)?;
     let length = PREFIX_BYTES + fields + 2;
-    *prefix = [SYNC[0], SYNC[1], VERSION, length as u8];
+    *prefix = [SYNC[0], SYNC[1], header.version(), length as u8];
     let (checked, after) = header_bytes
         .split_at_mut_checked(PREFIX_BYTES + fields)
         .ok_or(NoRoom)?;
@@ -645,7 +669,7 @@ impl<'i> Frame<'i> {
         let [_, _, version, header_bytes, ..] = *bytes else {
             return Err(FrameError::Incomplete);
         };
-        if version != VERSION {
+        if !matches!(version, VERSION_PLAIN | VERSION) {
             return Err(FrameError::Version(version));
         }
         let header_bytes = usize::from(header_bytes);
@@ -658,7 +682,7 @@ impl<'i> Frame<'i> {
             return Err(FrameError::HeaderDamaged);
         }
         let (header, payload_bytes) =
-            Header::parse(&fields[PREFIX_BYTES..]).ok_or(FrameError::HeaderInvalid)?;
+            Header::parse(version, &fields[PREFIX_BYTES..]).ok_or(FrameError::HeaderInvalid)?;
         let payload_bytes = payload_bytes as usize;
         // Before the sum below, which would overflow where usize has 32 bits.
         if payload_bytes > FRAME_BYTES_MAX - header_bytes - CRC_BYTES {
@@ -753,6 +777,7 @@ mod tests {
     fn the_longest_header_has_room() {
         let header = Header {
             truncated: true,
+            begins_run: true,
             last: false,
             regime: Regime::Dense,
             mode: Mode::Hybrid(Hybrid {

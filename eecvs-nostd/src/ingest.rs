@@ -7,7 +7,7 @@
 use crate::event::Event;
 use crate::event_link::Setup;
 use crate::evt2::{Evt2Decoder, Word};
-use crate::window::{Push, Window};
+use crate::window::{NextStart, Push, Window};
 
 /// What an event source brings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -127,7 +127,7 @@ pub struct Ingest<'b> {
     step: Step,
     open: Option<Window<'b>>,
     /// Start of the next window, where its grid continues that of the one before.
-    next_start_us: Option<u64>,
+    next_start: NextStart,
     /// Windows in existence; none before a setup.
     windows: usize,
     drops_when_full: bool,
@@ -146,7 +146,7 @@ impl<'b> Ingest<'b> {
             decoder: Evt2Decoder::new(0),
             step: Step::Input,
             open: None,
-            next_start_us: None,
+            next_start: NextStart::ANY,
             windows: 0,
             drops_when_full: false,
             missed: 0,
@@ -174,7 +174,7 @@ impl<'b> Ingest<'b> {
         self.windows = windows;
         self.missed = 0;
         self.lost_time = false;
-        self.next_start_us = None;
+        self.next_start = NextStart::ANY;
         self.step = Step::Input;
     }
 
@@ -307,7 +307,7 @@ impl<'b> Ingest<'b> {
     fn window(&mut self, exchange: &mut impl Exchange<'b>) -> Option<&mut Window<'b>> {
         if self.open.is_none() {
             let mut window = exchange.free()?;
-            window.follow(self.next_start_us);
+            window.follow(self.next_start);
             window.count_dropped(self.missed);
             self.missed = 0;
             self.open = Some(window);
@@ -334,7 +334,7 @@ impl<'b> Ingest<'b> {
             // Nothing in it and nothing to tell: it stays open.
             return true;
         }
-        self.next_start_us = window.next_start_us();
+        self.next_start = window.next_start();
         if let Some(window) = self.open.take() {
             exchange.hand_over(Work::Window(window));
         }

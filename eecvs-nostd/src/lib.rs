@@ -66,6 +66,7 @@ mod prune_dsp;
 pub mod quantise;
 mod rate;
 pub mod regime;
+pub mod reorder;
 #[cfg(eecvs_dsp)]
 mod rows_dsp;
 #[cfg(eecvs_dsp)]
@@ -108,7 +109,7 @@ pub use trace::{Stage, Trace};
 pub use transform::Transform;
 pub use unpack::UnpackError;
 pub use window::{
-    Closed, Counts, Head, Push, Slot, Taken, Window, WindowBuffers, WindowConfig, bitmap_words,
-    segments,
+    Closed, Counts, Head, NextStart, Push, Slot, Taken, Window, WindowBuffers, WindowConfig,
+    bitmap_words, segments,
 };
 pub use window_encoder::{Encoded, OUTPUT_BYTES_MIN, WindowEncoder};

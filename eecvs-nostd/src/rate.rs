@@ -145,8 +145,12 @@ impl Rate {
         self.coded += events;
     }
 
-    /// Fills the bucket for a window that ends at a time.
-    fn fill(&mut self, end_us: u64) {
+    /// Fills the bucket for a window that ends at a time. Where a run begins the time since the window
+    /// before is not known, and nothing is gained.
+    fn fill(&mut self, end_us: u64, begins_run: bool) {
+        if begins_run {
+            self.end_us = None;
+        }
         let since_us = match self.end_us {
             Some(before_us) => end_us.saturating_sub(before_us).min(1_000_000),
             None => 0,
@@ -208,7 +212,8 @@ impl Rate {
     ) -> Plan {
         self.learn();
         let duration_us = closed.duration_us;
-        self.fill(closed.t0_us.saturating_add(u64::from(duration_us)));
+        let end_us = closed.t0_us.saturating_add(u64::from(duration_us));
+        self.fill(end_us, closed.begins_run);
         (self.spent, self.coded) = (0, 0);
         let room =
             ((self.room() as u64 * self.part_q8) >> 8).saturating_sub(u64::from(FRAME_BYTES)) * 8;
@@ -358,7 +363,7 @@ mod tests {
                     rate.set_budget(NonZeroU32::new(now).unwrap(), window_us);
                 }
                 end_us += u64::from(since_us >> (8 * shift));
-                rate.fill(end_us);
+                rate.fill(end_us, false);
                 let bytes = (rate.room() as f64 * share) as usize;
                 rate.spend(bytes.min(rate.room()), 0, 1);
                 spent.push((end_us, bytes.min(rate.room() + bytes) as u64, now.max(before)));

@@ -201,8 +201,6 @@ const SLOT_WORDS: usize = size_of::<Slot>() / size_of::<u32>();
 pub enum Push {
     /// It is in the window.
     Stored,
-    /// It is older than the open window's start: counted, kept out.
-    Late,
     /// Its pixel is not on the sensor: counted as dropped.
     Outside,
     /// The window is closed and the event is not in it: encode the window, then push it again.
@@ -216,7 +214,7 @@ pub struct Taken {
     /// Words taken from the front. Fewer than there were: the window is closed, and the next word
     /// is the event that is not in it.
     pub words: usize,
-    /// Events among them, late ones and those outside of the sensor included.
+    /// Events among them, those outside of the sensor included.
     pub events: u32,
     /// Words among them that were no events and no times, and events before the first time.
     pub ignored: u32,
@@ -226,7 +224,7 @@ pub struct Taken {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counts {
-    /// Older than the open window's start.
+    /// Too old for their window: none of this encoder, whose windows begin anew for them.
     pub late: u32,
     /// Kept out by a filter that the user asked for.
     pub filtered: u32,
@@ -256,6 +254,35 @@ pub struct Closed {
     pub duration_us: u32,
     /// The buffer was full before the window's time was up.
     pub truncated: bool,
+    /// The clock fell back before the window: a new run of windows begins with it.
+    pub begins_run: bool,
+}
+
+/// Where a window starts that follows another one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct NextStart {
+    /// In microseconds; `None` where the next event will be the start.
+    pub us: Option<u64>,
+    /// A new run begins there.
+    pub begins_run: bool,
+}
+
+impl NextStart {
+    /// At the next event.
+    pub const ANY: Self = Self {
+        us: None,
+        begins_run: false,
+    };
+
+    /// At a time, on the same run.
+    #[must_use]
+    pub const fn at(start_us: u64) -> Self {
+        Self {
+            us: Some(start_us),
+            begins_run: false,
+        }
+    }
 }
 
 /// A window [t0, t0 + T) that collects events by segment.
@@ -267,6 +294,8 @@ pub struct Closed {
 /// * early, when an event comes and the buffer is full: the duration is the time up to that
 ///   event, and at least one microsecond beyond the latest event held, so that u < 1 for all of
 ///   them; the next window starts at that event;
+/// * when an event before t0 comes: duration T, and the next window starts at that event and begins
+///   a new *run*, so that no event is too late ([`crate::reorder`] keeps small disorder from it);
 /// * on [`Window::flush`]: duration T; the next window is aligned to the next event.
 ///
 /// Order inside a window does not matter. An event costs O(1); memory is what was lent.
@@ -284,6 +313,8 @@ pub struct Window<'b> {
     latest: Latest,
     /// Start of the open window, or of the next where none is open; None before the first event.
     start_us: Option<u64>,
+    /// A run begins with the open window, or with the next where none is open.
+    begins_run: bool,
     closed: Option<Closed>,
     counts: Counts,
 }
@@ -331,6 +362,7 @@ impl<'b> Window<'b> {
             len: 0,
             latest: Latest::NONE,
             start_us: None,
+            begins_run: false,
             closed: None,
             counts: Counts::NONE,
         })
@@ -366,19 +398,22 @@ impl<'b> Window<'b> {
             return Push::Outside;
         }
         let start_us = *self.start_us.get_or_insert(event.t_us);
-        let Some(since_start) = event.t_us.checked_sub(start_us) else {
-            self.counts.late = self.counts.late.saturating_add(1);
-            return Push::Late;
+        let since_start = match event.t_us.checked_sub(start_us) {
+            Some(since_start) => since_start,
+            None if self.len > 0 => {
+                self.fall_back(event.t_us);
+                return Push::Closed;
+            }
+            None => {
+                self.fall_back(event.t_us);
+                0
+            }
         };
         let window_us = u64::from(self.config.window_us);
         let mut offset_us = since_start;
         if since_start >= window_us {
             if self.len > 0 {
-                self.close(
-                    self.config.window_us,
-                    false,
-                    Some(start_us.saturating_add(window_us)),
-                );
+                self.advance();
                 return Push::Closed;
             }
             // Empty windows are skipped: the open one moves along the grid.
@@ -388,7 +423,7 @@ impl<'b> Window<'b> {
         let offset_us = offset_us as u32;
         if self.len as usize >= self.slots.len() {
             let duration_us = offset_us.max(self.latest_us(offset_us).saturating_add(1));
-            self.close(duration_us, true, Some(event.t_us));
+            self.close(duration_us, true, NextStart::at(event.t_us));
             return Push::Closed;
         }
         self.store(event, offset_us);
@@ -530,20 +565,88 @@ impl<'b> Window<'b> {
         offsets.fold(event_us, u32::max)
     }
 
-    fn close(&mut self, duration_us: u32, truncated: bool, next_start_us: Option<u64>) {
+    /// Stores events from the front while they lie in the open window and on the sensor and there is
+    /// room; returns how many.
+    #[cfg_attr(target_pointer_width = "64", inline)]
+    pub(crate) fn push_inside(&mut self, events: &[Event]) -> usize {
+        let (Some(start_us), None) = (self.start_us, self.closed) else {
+            return 0;
+        };
+        let window_us = u64::from(self.config.window_us);
+        let free = self.slots.len().saturating_sub(self.len as usize);
+        let mut stored = 0;
+        for event in events.iter().take(free) {
+            let offset_us = event.t_us.wrapping_sub(start_us);
+            if event.t_us < start_us
+                || offset_us >= window_us
+                || !self.config.sensor.contains(event.x, event.y)
+            {
+                break;
+            }
+            self.store(*event, offset_us as u32);
+            stored += 1;
+        }
+        stored
+    }
+
+    fn close(&mut self, duration_us: u32, truncated: bool, next: NextStart) {
         let t0_us = self.start_us.unwrap_or(0);
         self.closed = Some(Closed {
             t0_us,
             duration_us,
             truncated,
+            begins_run: self.begins_run,
         });
-        self.start_us = next_start_us;
+        (self.start_us, self.begins_run) = (next.us, next.begins_run);
+    }
+
+    /// Begins a new run at `start_us`, after the events that the window holds.
+    pub(crate) fn fall_back(&mut self, start_us: u64) {
+        self.begin_run(Some(start_us));
+    }
+
+    /// Begins a new run with the next event, after the events that the window holds.
+    pub(crate) fn end_run(&mut self) {
+        self.begin_run(None);
+    }
+
+    fn begin_run(&mut self, us: Option<u64>) {
+        if self.closed.is_some() {
+            return;
+        }
+        if self.len > 0 {
+            let begins_run = true;
+            self.close(self.config.window_us, false, NextStart { us, begins_run });
+        } else {
+            (self.start_us, self.begins_run) = (us, true);
+        }
+    }
+
+    /// Closes the open window, whose time has run: the next one goes on along the grid.
+    pub(crate) fn advance(&mut self) {
+        if let (Some(start_us), None) = (self.start_us, self.closed) {
+            let next_us = start_us.saturating_add(u64::from(self.config.window_us));
+            self.close(self.config.window_us, false, NextStart::at(next_us));
+        }
+    }
+
+    /// Moves an empty open window along the grid to where it holds `t_us`, which is not before it; one
+    /// that has no start starts there.
+    pub(crate) fn skip_to(&mut self, t_us: u64) {
+        if self.len > 0 || self.closed.is_some() {
+            return;
+        }
+        let start_us = self.start_us.unwrap_or(t_us);
+        if let Some(since_start) = t_us.checked_sub(start_us) {
+            let offset_us = since_start.checked_rem(u64::from(self.config.window_us));
+            self.start_us = Some(t_us - offset_us.unwrap_or(0));
+        }
     }
 
     /// Closes the window where it holds events or counts; the stream starts anew after it.
     pub fn flush(&mut self) {
         if self.closed.is_none() && (self.len > 0 || self.counts.any()) {
-            self.close(self.config.window_us, false, None);
+            self.close(self.config.window_us, false, NextStart::ANY);
         }
     }
 
@@ -551,29 +654,29 @@ impl<'b> Window<'b> {
     /// event will come any more: a live sensor that sees nothing does not hold its last events back.
     /// The next window goes on along the grid.
     pub fn pass(&mut self, now_us: u64) {
-        let window_us = u64::from(self.config.window_us);
         if let Some(start_us) = self.start_us
             && self.closed.is_none()
             && self.len > 0
-            && now_us.saturating_sub(start_us) >= window_us
+            && now_us.saturating_sub(start_us) >= u64::from(self.config.window_us)
         {
-            let next_start_us = start_us.saturating_add(window_us);
-            self.close(self.config.window_us, false, Some(next_start_us));
+            self.advance();
         }
     }
 
-    /// Start of the window after this one, or of this one while it is open; `None` where the next
-    /// event will be the start.
+    /// Start of the window after this one, or of this one while it is open.
     #[must_use]
-    pub const fn next_start_us(&self) -> Option<u64> {
-        self.start_us
+    pub const fn next_start(&self) -> NextStart {
+        NextStart {
+            us: self.start_us,
+            begins_run: self.begins_run,
+        }
     }
 
-    /// Continues the grid of another window: this one, empty and open, starts at `start_us`, which
-    /// is the other's [`Window::next_start_us`].
-    pub const fn follow(&mut self, start_us: Option<u64>) {
+    /// Continues the grid of another window: this one, empty and open, starts where the other's
+    /// [`Window::next_start`] says.
+    pub const fn follow(&mut self, start: NextStart) {
         if self.len == 0 && self.closed.is_none() {
-            self.start_us = start_us;
+            (self.start_us, self.begins_run) = (start.us, start.begins_run);
         }
     }
 

@@ -410,6 +410,7 @@ impl<'b> WindowEncoder<'b> {
         Task {
             header: Header {
                 truncated: closed.truncated,
+                begins_run: closed.begins_run,
                 last: false,
                 regime,
                 mode,

@@ -147,7 +147,11 @@ impl FrameOrder {
         }
         report.frames += 1;
         self.recent[number as usize % RECENT] = Some((number, crc));
-        self.newest_t0_us = self.newest_t0_us.max(header.t0_us);
+        self.newest_t0_us = if header.begins_run {
+            header.t0_us
+        } else {
+            self.newest_t0_us.max(header.t0_us)
+        };
         true
     }
 

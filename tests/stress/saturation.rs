@@ -171,7 +171,7 @@ fn times_never_saturate() {
         let window = encoder.window();
         (
             window.closed().expect("closed").duration_us,
-            window.next_start_us(),
+            window.next_start().us,
         )
     };
     // Full, with an event in the last microsecond: T is all that 32 bits hold, and u < 1.

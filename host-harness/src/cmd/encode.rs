@@ -161,6 +161,11 @@ pub struct LimitOptions {
           value_parser = clap::value_parser!(u32)
               .range(OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
     frame_bytes: u32,
+
+    /// Put events in order that come up to N microseconds after later ones; a clock that falls back further
+    /// begins a new run of windows. 0: it always does [default: 5000, of a live source 1000]
+    #[arg(long, value_name = "N")]
+    reorder_us: Option<u32>,
 }
 
 /// A mode on the command line.
@@ -376,6 +381,7 @@ impl LimitOptions {
         Limits {
             window_events: self.window_events as usize,
             frame_bytes: self.frame_bytes as usize,
+            reorder_us: self.reorder_us,
             dense_words: usize::MAX,
         }
     }

@@ -3,9 +3,13 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use eecvs_nostd::{Event, Push, Window};
+use eecvs_nostd::reorder::{EMPTY, Reorder};
+use eecvs_nostd::{Event, NextStart, Window};
 
 use crate::formats::{EventReader, Pause};
+
+/// Events that are held for the sake of order: 2 MiB, some milliseconds of the fastest cameras.
+const HELD_EVENTS: usize = 1 << 17;
 
 /// Where events come from.
 pub trait Batches {
@@ -45,20 +49,25 @@ pub struct Cutter<B> {
     /// Events of the batch that are in windows.
     used: usize,
     events_in: u64,
-    start_us: Option<u64>,
+    start: NextStart,
+    reorder: Reorder<Vec<Event>>,
     ended: bool,
+    failed: bool,
 }
 
 impl<B: Batches> Cutter<B> {
-    /// Before the first event.
-    pub fn new(batches: B) -> Self {
+    /// Before the first event; waits `reorder_us` for events that come out of order.
+    pub fn new(batches: B, reorder_us: u32) -> Self {
+        let held = if reorder_us > 0 { HELD_EVENTS } else { 0 };
         Self {
             batches,
             events: Vec::new(),
             used: 0,
             events_in: 0,
-            start_us: None,
+            start: NextStart::ANY,
+            reorder: Reorder::new(vec![EMPTY; held], reorder_us),
             ended: false,
+            failed: false,
         }
     }
 
@@ -71,42 +80,35 @@ impl<B: Batches> Cutter<B> {
     /// `busy` grows by the time that took, reading excluded.
     ///
     /// # Errors
-    /// As [`EventReader::read`]; then the events have ended.
+    /// As [`EventReader::read`]; then there is no further window.
     pub fn cut(&mut self, window: &mut Window<'_>, busy: &mut Duration) -> Result<bool> {
-        window.follow(self.start_us);
-        while !self.ended {
+        window.follow(self.start);
+        while window.closed().is_none() && !self.failed {
             let started = Instant::now();
+            if self.ended {
+                self.reorder.flush(window);
+                *busy += started.elapsed();
+                break;
+            }
             let rest = self.events.get(self.used..).unwrap_or_default();
-            let closing = rest
-                .iter()
-                .position(|event| window.push(*event) == Push::Closed);
-            self.used += closing.unwrap_or(rest.len());
+            self.used += self.reorder.fill(window, rest);
             *busy += started.elapsed();
-            if closing.is_some() {
+            if window.closed().is_some() {
                 break;
             }
             let read = self.batches.next(&mut self.events);
             self.used = 0;
-            let pause = match &read {
-                Ok(()) if !self.events.is_empty() => None,
-                Ok(()) => Some(self.batches.pause()),
-                Err(_) => Some(Pause::Ended),
-            };
-            self.ended = pause == Some(Pause::Ended);
+            self.failed = read.is_err();
             read?;
             self.events_in += self.events.len() as u64;
-            match pause {
-                None => {}
-                Some(Pause::Ended) => window.flush(),
-                Some(Pause::Until(now_us)) => {
-                    window.pass(now_us);
-                    if window.closed().is_some() {
-                        break;
-                    }
+            if self.events.is_empty() {
+                match self.batches.pause() {
+                    Pause::Ended => self.ended = true,
+                    Pause::Until(now_us) => self.reorder.pass(window, now_us),
                 }
             }
         }
-        self.start_us = window.next_start_us();
+        self.start = window.next_start();
         Ok(window.closed().is_some())
     }
 }

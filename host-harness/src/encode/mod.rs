@@ -24,6 +24,14 @@ use storage::touch;
 /// Events that the host's window buffer holds.
 pub const WINDOW_EVENTS: usize = 1 << 20;
 
+/// Time for which events of a recording are put in order: packets of cameras and of their drivers overlap by
+/// less.
+pub const REORDER_US: u32 = 5_000;
+
+/// The same of a live source, whose windows are that much later: a sensor's own readout is out of order by
+/// less.
+pub const REORDER_LIVE_US: u32 = 1_000;
+
 /// A thread for each core that this process may use; 1 where that is not known.
 #[must_use]
 pub fn all_cores() -> NonZeroUsize {
@@ -37,8 +45,10 @@ pub struct EncodeSummary {
     pub events_in: u64,
     /// Events in frames.
     pub events_encoded: u64,
-    /// Events too old for their window.
+    /// Events too old for their window, and in no frame.
     pub events_late: u64,
+    /// Runs of windows: 1, and 1 for each time that the clock fell back further than is put in order.
+    pub runs: u64,
     /// Events that a filter kept out.
     pub events_filtered: u64,
     /// Events lost.
@@ -101,6 +111,9 @@ impl EncodeSummary {
             self.windows_in_order += u64::from(header.last);
             self.bytes_order += u64::from(order.bytes);
         }
+        if header.part == 0 && (header.begins_run || self.runs == 0) {
+            self.runs += 1;
+        }
         if header.part == 0 && header.window_events > 0 {
             self.windows += 1;
             self.windows_truncated += u64::from(header.truncated);
@@ -148,6 +161,8 @@ pub struct Limits {
     pub window_events: usize,
     /// Bytes of a frame, [`OUTPUT_BYTES_MIN`] to [`eecvs_nostd::FRAME_BYTES_MAX`].
     pub frame_bytes: usize,
+    /// Time for which events are put in order; none: [`REORDER_US`], or [`REORDER_LIVE_US`] of a live source.
+    pub reorder_us: Option<u32>,
     /// Words of the dense coder's rows, where that is less than it has use for.
     pub dense_words: usize,
 }
@@ -157,6 +172,7 @@ impl Default for Limits {
         Self {
             window_events: WINDOW_EVENTS,
             frame_bytes: eecvs_nostd::FRAME_BYTES_MAX,
+            reorder_us: None,
             dense_words: usize::MAX,
         }
     }
@@ -192,6 +208,12 @@ pub fn encode<'h>(
     // What a window may take follows from those before it; and a live source's windows are not to
     // wait for others.
     let is_live = reader.pause() != Pause::Ended;
+    let usual_us = if is_live { REORDER_LIVE_US } else { REORDER_US };
+    let reorder_us = limits.reorder_us.unwrap_or(usual_us);
+    let limits = Limits {
+        reorder_us: Some(reorder_us),
+        ..limits
+    };
     let threads = if is_live || codec.config.bytes_per_second.is_some() || codec.budget.is_some() {
         NonZeroUsize::MIN
     } else {
@@ -229,7 +251,7 @@ fn encode_here(
     let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits);
     let (mut windows, mut encoder) = storage.parts(codec.config, codec.hot)?;
     let window = windows.first_mut().context("the memory has no window")?;
-    let mut cutter = Cutter::new(Direct(reader));
+    let mut cutter = Cutter::new(Direct(reader), limits.reorder_us.unwrap_or(REORDER_US));
     let mut frame = vec![0; limits.frame_bytes];
     touch(&mut frame);
     let mut summary = EncodeSummary::default();

@@ -33,7 +33,7 @@ use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{Encoded, Event, Header, Window, WindowEncoder};
 
 use super::cutter::{Batches, Cutter};
-use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, write_frame};
+use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, REORDER_US, write_frame};
 use crate::formats::EventReader;
 
 /// Batches of events that are read ahead.
@@ -130,10 +130,13 @@ pub fn encode(
     // As many again as are being encoded, so that a long one does not hold up the others.
     let (cuts_in, cuts) = sync_channel(2 * threads.get());
     let front = Arc::new(Mutex::new(Front {
-        cutter: Cutter::new(ReadAhead {
-            filled,
-            used: used_in,
-        }),
+        cutter: Cutter::new(
+            ReadAhead {
+                filled,
+                used: used_in,
+            },
+            limits.reorder_us.unwrap_or(REORDER_US),
+        ),
         windows: 0,
         chained,
         cuts: cuts_in,

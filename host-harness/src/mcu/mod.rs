@@ -139,6 +139,8 @@ pub fn run(
     let limits = Limits {
         window_events: status.window_events as usize,
         frame_bytes: status.frame_bytes as usize,
+        // As the image does, which has no memory to hold events.
+        reorder_us: Some(0),
         dense_words: status.dense_words as usize,
     };
     let expected = if job.drop_when_full {

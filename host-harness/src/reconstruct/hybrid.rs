@@ -7,7 +7,9 @@ use eecvs_nostd::coder::dense::{Dense, DenseMemory, words};
 use eecvs_nostd::coder::fast::Fast;
 use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::coder::range::RangeDecoder;
-use eecvs_nostd::{Coder, Config, Event, Frame, Header, Hybrid, Mode, Polarity, Push, Sensor};
+use eecvs_nostd::{
+    Coder, Config, Event, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push, Sensor,
+};
 use eecvs_nostd::{Thresholds, Times, WindowConfig};
 
 use super::{DecodedWindow, Pixel, pixels};
@@ -298,7 +300,7 @@ impl DecodedWindow {
         };
         let mut storage = HostStorage::new(header.sensor, self.events.len().max(1));
         let mut encoder = storage.encoder(config)?;
-        encoder.window().follow(Some(header.t0_us));
+        encoder.window().follow(NextStart::at(header.t0_us));
         for event in &self.events {
             let push = encoder.push(*event);
             anyhow::ensure!(push == Push::Stored, "an event is outside of its window");

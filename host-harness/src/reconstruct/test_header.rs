@@ -6,6 +6,7 @@ use eecvs_nostd::{Header, Mode, Quantiser, Regime, Sensor, Transform};
 pub fn header(duration_us: u32) -> Header {
     Header {
         truncated: false,
+        begins_run: false,
         last: true,
         regime: Regime::Moderate,
         mode: Mode::Transform,

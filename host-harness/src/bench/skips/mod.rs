@@ -19,8 +19,8 @@ use eecvs_nostd::bits::exp_golomb;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt};
 use eecvs_nostd::window::SEGMENT_PIXELS;
 use eecvs_nostd::{
-    Coded, Config, Descriptor, Encoded, Encoder, FRAME_BYTES_MAX, Frame, Header, Level, Mode, Push,
-    Thresholds, Transform, WindowConfig, bitmap_words, segments,
+    Coded, Config, Descriptor, Encoded, Encoder, FRAME_BYTES_MAX, Frame, Header, Level, Mode,
+    NextStart, Push, Thresholds, Transform, WindowConfig, bitmap_words, segments,
 };
 use serde::{Deserialize, Serialize};
 
@@ -570,7 +570,7 @@ impl<'s> Point<'s> {
 
 /// Pushes and encodes a window with the core.
 fn encode(encoder: &mut Encoder<'_>, window: &Window, out: &mut [u8]) -> Result<Encoded> {
-    encoder.window().follow(Some(window.start_us));
+    encoder.window().follow(NextStart::at(window.start_us));
     for event in &window.events {
         ensure!(
             encoder.push(*event) == Push::Stored,
