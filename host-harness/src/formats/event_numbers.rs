@@ -129,13 +129,15 @@ pub fn find_names<'a>(
             None => {
                 let known = names.iter().enumerate().filter_map(|(place, name)| {
                     let known = Name::parse(name).filter(|known| known.which == which)?;
-                    Some((known.rank, place))
+                    // Of two that are as likely, the one that states its unit.
+                    Some((known.rank, known.unit.is_none(), place))
                 });
-                let known: Vec<(usize, usize)> = known.collect();
-                let least = known.iter().min().map(|(_, place)| *place);
-                let others = known.iter().filter(|(_, place)| Some(*place) != least);
-                passed_by
-                    .extend(others.filter_map(|(_, place)| Some((*names.get(*place)?).to_owned())));
+                let known: Vec<(usize, bool, usize)> = known.collect();
+                let least = known.iter().min().map(|(.., place)| *place);
+                let others = known.iter().filter(|(.., place)| Some(*place) != least);
+                passed_by.extend(
+                    others.filter_map(|(.., place)| Some((*names.get(*place)?).to_owned())),
+                );
                 least
             }
         };
@@ -246,8 +248,8 @@ mod tests {
     fn the_likeliest_names_count() {
         let names = ["timestamps", "p", "y", "x", "t_us", "t"];
         let found = find_names(names.into_iter(), None).unwrap();
-        assert_eq!(found.places, [5, 3, 2, 1]);
-        assert_eq!(found.passed_by, ["timestamps", "t_us"]);
+        assert_eq!(found.places, [4, 3, 2, 1]);
+        assert_eq!(found.passed_by, ["timestamps", "t"]);
         let given = ["t_us", "x", "y", "p"].map(str::to_owned);
         let found = find_names(names.into_iter(), Some(&given)).unwrap();
         assert_eq!(
