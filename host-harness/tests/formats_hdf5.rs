@@ -360,11 +360,7 @@ fn what_is_wrong_is_named() {
         (filtered(32026), 0, "(Blosc2): rewrite it with gzip"),
         (filtered(40000), 0, "40000: rewrite it with gzip"),
         (filtered(32001), 0, "Blosc: damaged Blosc buffer"),
-        (
-            filtered(36559),
-            0,
-            "(Prophesee's ECF): rewrite it with gzip",
-        ),
+        (filtered(36559), 0, "ECF"),
         (negative, 0, "t_offset: the offset must be one whole number"),
         (cut, 0, "byte "),
         (
