@@ -242,7 +242,7 @@ fn a_scene_is_the_same_on_any_number_of_threads() {
             assert!(bytes == expected.concat(), "{name}, {threads} threads");
             assert_eq!(summary.frames, expected.len() as u64);
             assert_eq!(summary.bytes_out, total as u64);
-            assert!(summary.runs > 20 && summary.events_dropped > 20);
+            assert!(summary.runs > 1 && summary.events_dropped > 20);
             assert!(summary.encode_s > 0.0 && summary.wall_s > 0.0);
         }
     }
@@ -278,8 +278,12 @@ fn what_came_before_the_damage_is_written() {
     for threads in [1, 2, 3, 8] {
         let source = Source::new(SENSOR, &events, &[1000], End::Damage);
         let mut bytes = Vec::new();
-        let error = run(source, config, Limits::default(), threads, &mut bytes)
-            .expect_err("the recording is damaged");
+        let limits = Limits {
+            reorder_us: Some(0),
+            ..Limits::default()
+        };
+        let error =
+            run(source, config, limits, threads, &mut bytes).expect_err("the recording is damaged");
         assert_eq!(format!("{error:#}"), "memory: byte 7: damaged");
         assert!(bytes == whole[..whole.len() - 1].concat());
     }

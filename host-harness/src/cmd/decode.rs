@@ -141,6 +141,7 @@ fn write_volume(path: &Path, window: &DecodedWindow, bins: Option<u16>) -> Resul
 fn table(summary: &DecodeSummary) -> String {
     rows([
         ("frames", summary.link.frames.to_string()),
+        ("runs", summary.counts.runs.to_string()),
         ("windows", summary.windows.to_string()),
         (
             "  in the order of input",

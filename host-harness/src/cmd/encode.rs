@@ -11,6 +11,7 @@ use eecvs_nostd::{
 };
 
 use super::options::{FollowOptions, ReadingOptions, ThresholdOptions, tell_damage};
+use super::order::{SortOptions, tell_disorder};
 use super::output::{print, print_json, rows};
 use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
@@ -42,6 +43,13 @@ pub struct Encode {
 
     #[command(flatten)]
     limits: LimitOptions,
+
+    #[command(flatten)]
+    sort: SortOptions,
+
+    /// Exit with 0 also where events came too late and are in no frame
+    #[arg(long)]
+    allow_loss: bool,
 
     #[command(flatten)]
     follow: FollowOptions,
@@ -388,6 +396,7 @@ impl Encode {
             None => formats::open(&self.input, &reading)?,
         };
         let config = self.codec.config(reader.sensor())?;
+        let reader = self.sort.apply(reader)?;
         let (reader, config) = self.codec.look(reader, config);
         let mut reader = Intact::new(reader);
         let hot = self.codec.hot_pixels(reader.sensor())?;
@@ -431,7 +440,8 @@ impl Encode {
         } else {
             print(&table(&summary))?;
         }
-        tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())
+        tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())?;
+        tell_disorder(&self.input, &summary, self.allow_loss)
     }
 }
 
@@ -452,6 +462,7 @@ pub fn table(summary: &EncodeSummary) -> String {
             "approximate in time",
             summary.events_approximate.to_string(),
         ),
+        ("runs", summary.runs.to_string()),
         ("windows", summary.windows.to_string()),
         ("  dct", summary.windows_dct.to_string()),
         ("  dtft", summary.windows_dtft.to_string()),
