@@ -120,20 +120,22 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         }
     }
 
-    /// Whether the window has events, and the next ones, of which none is in it or before it, make it
-    /// complete.
+    /// Whether the window has events, and the next ones, in order and behind it, make it complete: then they
+    /// need not be held.
     fn is_complete(&self, window: &Window<'_>, events: &[Event]) -> bool {
         let (Some(start_us), 1..) = (window.next_start().us, window.events()) else {
             return false;
         };
         let sensor = window.config().sensor;
         let window_us = u64::from(window.config().window_us);
+        let mut before_us = start_us;
         for event in events {
             let since_us = event.t_us.wrapping_sub(start_us);
-            let is_behind = event.t_us >= start_us && since_us >= window_us;
+            let is_behind = event.t_us >= before_us && since_us >= window_us;
             if !is_behind || !sensor.contains(event.x, event.y) {
                 return false;
             }
+            before_us = event.t_us;
             if since_us - window_us >= self.reorder_us {
                 return true;
             }

@@ -339,11 +339,15 @@ impl<C: WindowCoder> WindowCut<'_, C> {
             self.close(put)?;
         }
         self.summary.events_in += 1;
-        if event.t_us < *self.t0_us.get_or_insert(event.t_us) {
-            self.summary.events_late += 1;
-        } else {
-            self.events.push(event);
+        if self.t0_us.is_some_and(|t0_us| event.t_us < t0_us) {
+            // The clock fell back: a new run of windows begins.
+            self.close(put)?;
+            self.t0_us = None;
+            self.summary.runs += 1;
         }
+        self.summary.runs = self.summary.runs.max(1);
+        self.t0_us.get_or_insert(event.t_us);
+        self.events.push(event);
         Ok(())
     }
 

@@ -97,9 +97,11 @@ impl Calibration {
     }
 
     fn add_window(&mut self, window: &Window, sensor: Sensor, previous_t0_us: &mut Option<u64>) {
-        if let Some(previous_t0_us) = *previous_t0_us {
+        // Between runs no time is known to have passed.
+        if let Some(previous_t0_us) = previous_t0_us.filter(|_| !window.begins_run) {
             // A window that closed early is less than T before its successor: no empty one.
-            let periods = (window.t0_us - previous_t0_us) / u64::from(self.window_us.get());
+            let periods =
+                window.t0_us.saturating_sub(previous_t0_us) / u64::from(self.window_us.get());
             let empty = periods.saturating_sub(1);
             if empty > 0 {
                 *self.windows.entry(Density::EMPTY).or_default() += u128::from(empty);
@@ -109,7 +111,6 @@ impl Calibration {
         let density = Density::of(window, sensor);
         *self.windows.entry(density).or_default() += 1;
         self.events += window.events.len() as u64;
-        self.events_late += window.late;
     }
 
     /// The thresholds of everything added so far.
@@ -323,9 +324,12 @@ mod tests {
     }
 
     #[test]
-    fn late_events_are_reported() {
+    fn a_clock_that_falls_back_begins_a_run() {
         let t = calibrated(10, vec![recording(1, 1, &[100, 99, 105, 111, 3])]);
-        assert_eq!((t.events, t.events_late, t.windows), (3, 2, 2));
+        assert_eq!(
+            (t.events, t.events_late, t.windows, t.windows_empty),
+            (5, 0, 4, 0)
+        );
     }
 
     #[test]

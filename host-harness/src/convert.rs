@@ -10,6 +10,7 @@ use crate::formats::growing::{Follow, open_growing};
 use crate::formats::intact::Intact;
 use crate::formats::{self, Format, Reading};
 use crate::output::is_same;
+use crate::sort::Sorted;
 
 /// A rectangle of pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,6 +43,8 @@ pub struct Conversion {
     pub filter: Filter,
     /// What the output's format cannot hold is made to fit, and counted, in place of being refused.
     pub allow_loss: bool,
+    /// Events are sorted by time first.
+    pub sort: bool,
     /// What is appended to the input comes as well.
     pub follow: Option<Follow>,
 }
@@ -146,6 +149,11 @@ pub fn convert(
         input.display()
     );
     let mut writer = formats::create(output, sensor)?;
+    let reader: Box<dyn formats::EventReader> = if conversion.sort {
+        Box::new(Sorted::new(reader, &mut |_| {})?)
+    } else {
+        reader
+    };
     let mut reader = Intact::new(reader);
     let result = copy(&mut reader, writer.as_mut(), conversion, format)
         .with_context(|| format!("{}: cannot be converted", output.display()));

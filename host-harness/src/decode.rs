@@ -43,6 +43,8 @@ pub struct Windows {
 /// What the frames say of the events.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
+    /// Runs of windows: 1, and 1 for each time that the clock fell back.
+    pub runs: u64,
     /// Too old for their window.
     pub events_late: u64,
     /// Kept out by a filter.
@@ -189,6 +191,8 @@ impl Windows {
             ordered.map(|()| (pixels, events))
         });
         let (pixels, events) = decoded?;
+        self.counts.runs +=
+            u64::from(header.part == 0 && header.begins_run || self.counts.runs == 0);
         self.counts.events_late += u64::from(header.late);
         self.counts.events_filtered += u64::from(header.filtered);
         self.counts.events_dropped += u64::from(header.dropped);

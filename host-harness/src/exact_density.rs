@@ -173,7 +173,7 @@ mod tests {
                 t0_us: 0,
                 duration_us,
                 events: vec![event; events],
-                late: 0,
+                begins_run: false,
             };
             Density::of(&window, Sensor::new(width, height).unwrap())
         };

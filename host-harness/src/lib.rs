@@ -26,6 +26,7 @@ pub mod reference;
 pub mod report;
 pub mod round_trip;
 pub mod scene;
+pub mod sort;
 pub mod source;
 pub mod study;
 pub mod thresholds_file;

@@ -32,6 +32,10 @@ pub struct RecordingInfo {
     pub t_first_us: Option<u64>,
     /// Largest time in microseconds.
     pub t_last_us: Option<u64>,
+    /// Events whose time is before that of the event before them.
+    pub times_back: u64,
+    /// How far a time is before the latest one so far, at the most, in microseconds.
+    pub back_max_us: u64,
     /// `t_last_us - t_first_us` in seconds.
     pub duration_s: f64,
     /// `events / duration_s`; 0 where the duration is 0.
@@ -92,6 +96,8 @@ pub fn info(
         off: 0,
         t_first_us: None,
         t_last_us: None,
+        times_back: 0,
+        back_max_us: 0,
         duration_s: 0.0,
         rate_eps: 0.0,
         sum_x: 0,
@@ -104,6 +110,7 @@ pub fn info(
     };
     let mut hash = Sha256::new();
     let mut sum = 0_u128;
+    let mut before_us = 0;
     let mut events = Vec::with_capacity(formats::BATCH_EVENTS);
     let mut bytes = Vec::new();
     for (pass, column) in COLUMNS.iter().enumerate() {
@@ -126,7 +133,7 @@ pub fn info(
             }
             hash.update(&bytes);
             if pass == 0 {
-                info.count(&events);
+                info.count(&events, &mut before_us);
                 sum = events.iter().map(unordered).fold(sum, u128::wrapping_add);
             }
             progress(read as u64);
@@ -173,7 +180,8 @@ fn unordered(event: &Event) -> u128 {
 }
 
 impl RecordingInfo {
-    fn count(&mut self, events: &[Event]) {
+    /// `before_us` is the time of the event before.
+    fn count(&mut self, events: &[Event], before_us: &mut u64) {
         for event in events {
             self.events += 1;
             match event.polarity {
@@ -181,6 +189,10 @@ impl RecordingInfo {
                 Polarity::Off => self.off += 1,
             }
             let (first, last) = (self.t_first_us, self.t_last_us);
+            self.times_back += u64::from(event.t_us < *before_us);
+            *before_us = event.t_us;
+            let back_us = last.map_or(0, |last| last.saturating_sub(event.t_us));
+            self.back_max_us = self.back_max_us.max(back_us);
             self.t_first_us = Some(first.map_or(event.t_us, |t| t.min(event.t_us)));
             self.t_last_us = Some(last.map_or(event.t_us, |t| t.max(event.t_us)));
             self.sum_x += u64::from(event.x);

@@ -6,7 +6,7 @@ use std::num::{NonZeroU32, NonZeroUsize};
 use std::process::Stdio;
 
 use cli_support::{Folder, count, exists, number, text, total};
-use eecvs_nostd::Sensor;
+use eecvs_nostd::{Event, Polarity, Sensor};
 use host_harness::formats;
 use host_harness::reference::percentile;
 use host_harness::reference::window::{HOST_CAPACITY, Window, windows};
@@ -96,7 +96,7 @@ fn info_describes_the_recording_in_json_and_in_a_table() {
 fn encode_accounts_for_every_event_and_inspect_agrees() {
     let folder = Folder::new();
     folder.scene("scene.raw");
-    // Two late events and a gap of empty windows.
+    // A clock that falls back for two events, and a gap of empty windows.
     let (sensor, mut events) = folder.events("scene.raw");
     let mut late = [events[0], events[1]];
     late.iter_mut().for_each(|event| event.t_us = 100);
@@ -110,12 +110,13 @@ fn encode_accounts_for_every_event_and_inspect_agrees() {
 
     let summary = folder
         .eecvs("encode late.csv -o a.eecvs --json")
-        .ok()
+        .warns(&["late.csv", "2 runs", "--sort"])
         .object();
     for (key, value) in [
         ("events_in", events.len() as u64),
-        ("events_encoded", events.len() as u64 - 2),
-        ("events_late", 2),
+        ("events_encoded", events.len() as u64),
+        ("events_late", 0),
+        ("runs", 2),
         ("events_filtered", 0),
         ("events_dropped", 0),
         ("bytes_out", folder.bytes("a.eecvs").len() as u64),
@@ -154,7 +155,7 @@ fn encode_accounts_for_every_event_and_inspect_agrees() {
         assert_eq!(row["grid"], grid);
     }
     assert_eq!(total(&rows, "events"), count(&summary, "events_encoded"));
-    assert_eq!(total(&rows, "late"), 2);
+    assert_eq!(total(&rows, "late"), 0);
     assert_eq!(total(&rows, "bytes"), count(&summary, "bytes_out"));
     assert_eq!(rows.len() as u64, count(&summary, "windows"));
     for transform in ["dct", "dtft", "dwt"] {
@@ -171,7 +172,10 @@ fn encode_accounts_for_every_event_and_inspect_agrees() {
     let table = folder.eecvs("inspect a.eecvs").ok().stdout;
     assert_eq!(table.lines().count(), rows.len() + 1, "{table}");
     assert!(table.trim_start().starts_with("index"), "{table}");
-    let table = folder.eecvs("encode late.csv -o a.eecvs").ok().stdout;
+    let table = folder
+        .eecvs("encode late.csv -o a.eecvs")
+        .warns(&["2 runs"])
+        .stdout;
     assert!(
         table.contains("events in") && !table.contains('{'),
         "{table}"
@@ -528,5 +532,98 @@ fn a_reader_that_has_seen_enough_is_no_error() {
         let stderr = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success(), "{line}: {stderr}");
         assert!(stderr.is_empty(), "{line}: {stderr}");
+    }
+}
+
+/// Recordings as people have them, whose times run back: all events come back.
+#[test]
+fn recordings_that_run_back_are_encoded_whole() {
+    let folder = Folder::new();
+    let sensor = Sensor::new(64, 48).unwrap();
+    let at = |t_us: u64, i: u64| Event {
+        t_us,
+        x: (i % 64) as u16,
+        y: (i / 64 % 48) as u16,
+        polarity: Polarity::from_bool(i.is_multiple_of(2)),
+    };
+    let ascending = |from_us: u64, n: u64| (0..n).map(move |i| at(from_us + 200 * i, i));
+    let stale_first = std::iter::once(at(4_000_000_000, 0)).chain(ascending(1000, 999));
+    let clock_reset = ascending(5_000_000, 1000).chain(ascending(10, 1000));
+    // No two events of equal time, so that sorted ones are one order.
+    let jitter = (0..2000).map(|i| at(1_000_000 + 200 * i - 137 * (i * 7919 % 6000), i));
+    let cases: [(&str, Vec<Event>, u64); 3] = [
+        ("stale_first", stale_first.collect(), 2),
+        ("clock_reset", clock_reset.collect(), 2),
+        ("jitter", jitter.collect(), 3),
+    ];
+    for (name, events, runs_least) in cases {
+        let mut writer = formats::create(&folder.path(&format!("{name}.csv")), sensor).unwrap();
+        writer.write(&events).unwrap();
+        writer.finish().unwrap();
+        let info = folder
+            .eecvs(&format!("info {name}.csv --json"))
+            .ok()
+            .object();
+        let back = events.windows(2).filter(|two| two[1].t_us < two[0].t_us);
+        assert_eq!(count(&info, "times_back"), back.count() as u64, "{name}");
+        let mut newest_us = 0;
+        let behind = events.iter().map(|event| {
+            newest_us = newest_us.max(event.t_us);
+            newest_us - event.t_us
+        });
+        let back_max_us = behind.max().unwrap();
+        assert_eq!(count(&info, "back_max_us"), back_max_us, "{name}");
+        for flags in [
+            "",
+            "--coder dense --window-us 9000",
+            "--keep-order --threads 2",
+        ] {
+            let encode = format!("encode {name}.csv -o {name}.eecvs --json {flags}");
+            let summary = folder.eecvs(&encode).warns(&[name, "runs"]).object();
+            assert_eq!(
+                count(&summary, "events_encoded"),
+                events.len() as u64,
+                "{name}"
+            );
+            assert!(count(&summary, "runs") >= runs_least, "{summary}");
+            let inspect = folder.eecvs(&format!("inspect {name}.eecvs --json")).ok();
+            let begin = inspect
+                .array()
+                .iter()
+                .filter(|row| row["begins_run"] == true)
+                .count();
+            assert_eq!(begin as u64 + 1, count(&summary, "runs"));
+            let decode = format!("decode {name}.eecvs -o back.csv --json");
+            let decoded = folder.eecvs(&decode).ok().object();
+            assert_eq!(count(&decoded, "runs"), count(&summary, "runs"));
+            let compared = folder
+                .eecvs(&format!("compare {name}.csv back.csv --json"))
+                .ok()
+                .object();
+            assert_eq!(number(&compared, "exact_fraction"), 1.0, "{name} {flags}");
+            std::fs::remove_file(folder.path("back.csv")).unwrap();
+            folder.eecvs(&format!("monitor {name}.eecvs")).ok();
+            std::fs::remove_file(folder.path(&format!("{name}.eecvs"))).unwrap();
+        }
+        let sorting = format!("encode {name}.csv -o sorted.eecvs --json --sort");
+        let summary = folder.eecvs(&sorting).ok().object();
+        assert_eq!(count(&summary, "runs"), 1, "{name}");
+        let longer = format!("encode {name}.csv -o long.eecvs --json --reorder-us {back_max_us}");
+        let longer = folder.eecvs(&longer);
+        if back_max_us < u64::from(u32::MAX) {
+            assert_eq!(count(&longer.ok().object(), "runs"), 1, "{name}");
+            let outputs = ["sorted.eecvs", "long.eecvs"].map(|name| folder.bytes(name));
+            assert!(outputs[0] == outputs[1], "{name}");
+        }
+        folder
+            .eecvs(&format!("convert {name}.csv sorted.raw --sort"))
+            .ok();
+        let (_, found) = folder.events("sorted.raw");
+        let mut expected = events.clone();
+        expected.sort_by_key(|event| event.t_us);
+        assert!(found == expected, "{name}");
+        for name in ["sorted.eecvs", "long.eecvs", "sorted.raw"] {
+            std::fs::remove_file(folder.path(name)).unwrap();
+        }
     }
 }

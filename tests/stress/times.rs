@@ -2,7 +2,7 @@
 
 use eecvs_nostd::evt2::{Evt2Decoder, Evt2Encoder, Word};
 use eecvs_nostd::transform::{M_MAX, Transform};
-use eecvs_nostd::{Config, Event, Polarity, Push, Sensor};
+use eecvs_nostd::{Config, Encoder, Event, Polarity, Sensor};
 use host_harness::encode::HostStorage;
 use host_harness::reconstruct::events::{EventDecoder, Finder};
 use host_harness::reconstruct::{DecodedWindow, pixels};
@@ -167,9 +167,9 @@ fn days_of_evt2_are_followed() {
     }
 }
 
-/// Words whose time is beyond 64 bits begin again at 0: their events come too late, and are counted.
+/// Words whose time is beyond 64 bits begin again at 0: a new run begins with them.
 #[test]
-fn words_beyond_the_last_time_are_late() {
+fn words_beyond_the_last_time_begin_a_run() {
     let mut storage = HostStorage::new(SENSOR, 10);
     let config = plain_config(SENSOR, Transform::Dct, 8);
     let mut encoder = storage.encoder(config).expect("a valid configuration");
@@ -177,27 +177,19 @@ fn words_beyond_the_last_time_are_late() {
     // 64 us after the base, an event; 128 us after it, another.
     let words = [0x8000_0001_u32, 0x1000_0000, 0x8000_0002, 0x1000_0000].map(u32::to_le_bytes);
     let taken = encoder.window().push_words(&mut decoder, &words);
-    assert_eq!((taken.words, taken.ignored), (4, 0));
-    assert_eq!(
-        encoder.push(Event {
-            t_us: u64::MAX,
-            x: 0,
-            y: 0,
-            polarity: Polarity::Off,
-        }),
-        Push::Stored
-    );
-    encoder.flush();
+    assert_eq!((taken.words, taken.ignored), (3, 0));
     let mut out = vec![0; FRAME_BYTES];
-    let frame = encoder
-        .next_frame(&mut out)
-        .expect("room")
-        .expect("a frame");
-    let header = frame.header;
-    assert_eq!(
-        (header.t0_us, header.events, header.late),
-        (u64::MAX - 36, 2, 1)
-    );
+    let mut take = |encoder: &mut Encoder<'_>| {
+        let frame = encoder.next_frame(&mut out).expect("room");
+        let header = frame.expect("a frame").header;
+        assert_eq!(encoder.next_frame(&mut out), Ok(None));
+        (header.t0_us, header.events, header.begins_run)
+    };
+    assert_eq!(take(&mut encoder), (u64::MAX - 36, 1, false));
+    let taken = encoder.window().push_words(&mut decoder, &words[3..]);
+    assert_eq!((taken.words, taken.ignored), (1, 0));
+    encoder.flush();
+    assert_eq!(take(&mut encoder), (27, 1, true));
 }
 
 /// Decoded events of a pixel each are where they were, to half a cell, and inside of 64 bits.

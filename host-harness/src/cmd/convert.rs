@@ -7,6 +7,7 @@ use clap::Args;
 use clap::error::ErrorKind;
 
 use super::options::{FollowOptions, OutputOptions, ReadingOptions, tell_damage};
+use super::order::SortOptions;
 use super::output::{print, print_json, rows};
 use crate::convert::{Conversion, Converted, Crop, Filter, convert};
 use crate::output::Kind;
@@ -37,6 +38,9 @@ pub struct Convert {
     /// Leave out or change what the output's format cannot hold, and count it, in place of refusing it
     #[arg(long)]
     allow_loss: bool,
+
+    #[command(flatten)]
+    sort: SortOptions,
 
     #[command(flatten)]
     follow: FollowOptions,
@@ -94,6 +98,7 @@ impl Convert {
                 crop: self.crop,
             },
             allow_loss: self.allow_loss,
+            sort: self.sort.is_asked(),
             follow: self.follow.follow()?,
         };
         self.overwrite

@@ -135,6 +135,7 @@ impl Decode {
 fn table(summary: &DecodeSummary) -> String {
     rows([
         ("frames", summary.link.frames.to_string()),
+        ("runs", summary.counts.runs.to_string()),
         ("windows", summary.windows.to_string()),
         (
             "  in the order of input",

@@ -14,6 +14,7 @@ use eecvs_nostd::{
 use serde::Serialize;
 
 use super::options::{FollowOptions, OutputOptions, ReadingOptions, ThresholdOptions, tell_damage};
+use super::order::{SortOptions, tell_disorder};
 use super::output::{print, print_json, rows};
 use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
@@ -45,6 +46,13 @@ pub struct Encode {
 
     #[command(flatten)]
     limits: LimitOptions,
+
+    #[command(flatten)]
+    sort: SortOptions,
+
+    /// Exit with 0 also where events came too late and are in no frame
+    #[arg(long)]
+    allow_loss: bool,
 
     #[command(flatten)]
     follow: FollowOptions,
@@ -402,6 +410,7 @@ impl Encode {
             None => formats::open(&self.input, &reading)?,
         };
         let config = self.codec.config(reader.sensor())?;
+        let reader = self.sort.apply(reader)?;
         let (reader, config) = self.codec.look(reader, config);
         let mut reader = Intact::new(reader);
         let hot = self.codec.hot_pixels(reader.sensor())?;
@@ -445,7 +454,8 @@ impl Encode {
         } else {
             print(&report.table())?;
         }
-        tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())
+        tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())?;
+        tell_disorder(&self.input, &summary, self.allow_loss)
     }
 }
 
@@ -509,6 +519,7 @@ impl<'c> Report<'c> {
                 "  left out by the rate control",
                 count(summary.events_thinned),
             ),
+            ("runs", count(summary.runs)),
             ("windows", count(summary.windows)),
         ]);
         // Events have no transform.

@@ -63,6 +63,8 @@ fn table(info: &RecordingInfo) -> String {
         ("t_last_us", time(info.t_last_us)),
         ("duration_s", format!("{:.6}", info.duration_s)),
         ("rate_eps", format!("{:.1}", info.rate_eps)),
+        ("times_back", info.times_back.to_string()),
+        ("back_max_us", info.back_max_us.to_string()),
         ("sum_x", info.sum_x.to_string()),
         ("sum_y", info.sum_y.to_string()),
         ("sha256_events", info.sha256_events.clone()),

@@ -61,6 +61,8 @@ struct Row {
     thinned: u32,
     saturated: u32,
     truncated: bool,
+    /// The clock fell back before the window.
+    begins_run: bool,
 }
 
 impl Inspect {
@@ -166,6 +168,7 @@ impl Row {
             thinned: header.thinned,
             saturated: header.saturated,
             truncated: header.truncated,
+            begins_run: header.begins_run,
         }
     }
 

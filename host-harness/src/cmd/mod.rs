@@ -16,6 +16,7 @@ pub mod job;
 pub mod mcu;
 pub mod monitor;
 pub mod options;
+pub mod order;
 pub mod output;
 pub mod report;
 mod stop;

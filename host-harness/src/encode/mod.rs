@@ -48,6 +48,7 @@ pub struct EncodeSummary {
     /// Events too old for their window, and in no frame.
     pub events_late: u64,
     /// Runs of windows: 1, and 1 for each time that the clock fell back further than is put in order.
+    #[serde(default)]
     pub runs: u64,
     /// Events that a filter kept out.
     pub events_filtered: u64,

@@ -17,8 +17,8 @@
 //! ssim 1) included, and over those further windows in which B holds events. The empty time
 //! between A and a B that lies elsewhere is no window of A's: it would hide that nothing agrees.
 //!
-//! A late event (see [`windows`]) is in no frame and no time distribution; it counts as an event
-//! that is not found and not matched.
+//! Where times run back further than windows stay open (see [`windows`]), as where a clock begins anew, both
+//! recordings are sorted first: windows are of time, and hold the events of every run.
 //!
 //! Recordings of different sensors are refused. A size that a file does not state, but its reader took for the
 //! largest x and y, is no sensor's: frames have the larger width and the larger height of both.
@@ -40,6 +40,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::formats::{EventReader, SIZE_TAKEN};
+use crate::sort::Sorted;
 use emd_pixel::Matcher;
 use frame::{PeakFinder, frame_pair, pixel_order};
 use ssim::Ssim;
@@ -123,6 +124,9 @@ pub fn compare(
             progress(events_before + stream.events_read());
         }
         events_before += stream.events_read();
+        if stream.late() > 0 {
+            return compare_sorted(open_a, open_b, window_us, progress);
+        }
     }
     let peak = peak.peak();
 
@@ -167,6 +171,20 @@ fn common_sensor(a: &dyn EventReader, b: &dyn EventReader) -> Result<Sensor> {
         width: of_a.width.max(of_b.width),
         height: of_a.height.max(of_b.height),
     })
+}
+
+/// [`compare`] of recordings whose clocks begin anew or run back further than windows stay open: of their
+/// events in order of time, so that each is in its window, whichever run it is of.
+fn compare_sorted(
+    open_a: Open<'_>,
+    open_b: Open<'_>,
+    window_us: u64,
+    progress: &mut dyn FnMut(u64),
+) -> Result<Comparison> {
+    let sorted = |open: Open<'_>| -> Result<Box<dyn EventReader>> {
+        Ok(Box::new(Sorted::new(open()?, &mut |_| {})?))
+    };
+    compare(&|| sorted(open_a), &|| sorted(open_b), window_us, progress)
 }
 
 /// What the frame metrics are averaged over.

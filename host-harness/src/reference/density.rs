@@ -49,7 +49,7 @@ mod tests {
             t0_us: 5,
             duration_us: 100,
             events: vec![at(5), at(6)],
-            late: 9,
+            begins_run: false,
         };
         assert!(close(window_density(&window, sensor), 10_000.0));
     }

@@ -87,7 +87,7 @@ mod tests {
                 event(75, 5, 1, Polarity::Off),
                 event(10, 9, 0, Polarity::On),
             ],
-            late: 0,
+            begins_run: false,
         };
         let c = coefficients(&window, Transform::Dwt, 4);
         let real = |c: &[Complex64]| -> Vec<f64> { c.iter().map(|c| c.re).collect() };

@@ -8,7 +8,8 @@
 //! * a window that is full when a further event of its interval arrives closes early. Its
 //!   duration reaches up to that event, and past the latest held one in any case, so that
 //!   every u = (t - t0) / duration stays below 1. The next window starts at that event;
-//! * an event older than the open window's start is late: counted and kept out.
+//! * an event older than the open window's start closes the window and begins a new run: the next
+//!   window starts at that event.
 
 use std::num::{NonZeroU32, NonZeroUsize};
 
@@ -27,8 +28,8 @@ pub struct Window {
     pub duration_us: u32,
     /// Events in order of arrival, `0 <= t - t0 < duration_us` for each of them.
     pub events: Vec<Event>,
-    /// Events that came while this window was open but were older than its start.
-    pub late: u64,
+    /// The clock fell back before the window.
+    pub begins_run: bool,
 }
 
 impl Window {
@@ -69,8 +70,11 @@ impl Windower {
             return None;
         };
         if event.t_us < open.t0_us {
-            open.late += 1;
-            return None;
+            let next = Window {
+                begins_run: true,
+                ..self.start(event.t_us, event)
+            };
+            return self.open.replace(next);
         }
         let period_us = u64::from(self.window_us.get());
         let elapsed_us = event.t_us - open.t0_us;
@@ -105,7 +109,7 @@ impl Windower {
             t0_us,
             duration_us: self.window_us.get(),
             events: vec![event],
-            late: 0,
+            begins_run: false,
         }
     }
 }
@@ -142,7 +146,7 @@ mod tests {
         )
     }
 
-    /// (t0, duration, held times, late) of each window.
+    /// (t0, duration, held times, whether a run begins) of each window.
     fn shape(windows: &[Window]) -> Vec<(u64, u32, Vec<u64>, u64)> {
         windows
             .iter()
@@ -151,7 +155,7 @@ mod tests {
                     w.t0_us,
                     w.duration_us,
                     w.events.iter().map(|e| e.t_us).collect(),
-                    w.late,
+                    u64::from(w.begins_run),
                 )
             })
             .collect()
@@ -220,18 +224,32 @@ mod tests {
     fn unordered_event_that_does_not_fit_starts_the_next_window_at_its_own_time() {
         assert_eq!(
             shape(&cut(&[0, 6, 2, 1, 11], 10, 2)),
-            [(0, 7, vec![0, 6], 0), (2, 10, vec![2, 11], 1)]
+            [
+                (0, 7, vec![0, 6], 0),
+                (2, 10, vec![2], 0),
+                (1, 10, vec![1], 1),
+                (11, 10, vec![11], 0)
+            ]
         );
     }
 
     #[test]
-    fn late_events_are_counted_in_the_window_that_was_open() {
+    fn a_clock_that_falls_back_begins_a_run() {
         assert_eq!(
             shape(&cut(&[10, 9, 12, 20, 19, 0, 21], 10, 9)),
-            [(10, 10, vec![10, 12], 1), (20, 10, vec![20, 21], 2)]
+            [
+                (10, 10, vec![10], 0),
+                (9, 10, vec![9, 12], 1),
+                (19, 10, vec![20, 19], 0),
+                (0, 10, vec![0], 1),
+                (20, 10, vec![21], 0)
+            ]
         );
-        // Late beats full: it does not close the window.
-        assert_eq!(shape(&cut(&[10, 9], 10, 1)), [(10, 10, vec![10], 1)]);
+        // Of a full window too: it ran its time.
+        assert_eq!(
+            shape(&cut(&[10, 9], 10, 1)),
+            [(10, 10, vec![10], 0), (9, 10, vec![9], 1)]
+        );
     }
 
     #[test]
@@ -270,22 +288,21 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_event_is_held_or_late(
+        fn every_event_is_held(
             times in prop::collection::vec(0u64..200, 0..60),
             window_us in 1u32..40,
             capacity in 1usize..6,
         ) {
             let cut = cut(&times, window_us, capacity);
             let held: usize = cut.iter().map(|w| w.events.len()).sum();
-            let late: u64 = cut.iter().map(|w| w.late).sum();
-            prop_assert_eq!(held as u64 + late, times.len() as u64);
+            prop_assert_eq!(held, times.len());
             for w in &cut {
                 prop_assert!((1..=window_us).contains(&w.duration_us));
                 prop_assert!((1..=capacity).contains(&w.events.len()));
                 prop_assert!(w.events.iter().all(|e| w.offset_us(e) < w.duration_us));
             }
             for pair in cut.windows(2) {
-                prop_assert!(pair[0].t0_us <= pair[1].t0_us);
+                prop_assert_eq!(pair[0].t0_us > pair[1].t0_us, pair[1].begins_run);
             }
         }
 
@@ -298,7 +315,7 @@ mod tests {
             for w in cut(&times, window_us, 1000) {
                 prop_assert_eq!((w.t0_us - times[0]) % u64::from(window_us), 0);
                 prop_assert_eq!(w.duration_us, window_us);
-                prop_assert_eq!(w.late, 0);
+                prop_assert!(!w.begins_run);
             }
         }
     }
