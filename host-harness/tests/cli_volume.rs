@@ -280,7 +280,7 @@ fn volumes_that_cannot_be_made_are_refused() {
             "--volume v.npy --all-windows",
             &["other transforms", "--bins"],
         ),
-        ("--volume v.txt", &["v.txt", ".npy or .npz"]),
+        ("--volume v.txt", &["v.txt", ".npy"]),
         ("-o b.csv --bins 4", &["--volume"]),
         ("-o b.csv --normalise mean-std", &["--volume"]),
     ] {

@@ -215,7 +215,9 @@ fn ctrl_c_and_limits_leave_a_whole_file() {
     for name in ["a.aedat4", "a.eecvs", "a.raw"] {
         let child = folder.start(&[&slow[..], &["-o", name]].concat());
         let until = Instant::now() + Duration::from_secs(30);
-        while !folder.path(name).exists() && Instant::now() < until {
+        // Its name is the file's own when it is complete.
+        let growing = folder.path(&format!("incomplete-{name}"));
+        while !growing.exists() && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(10));
         }
         std::thread::sleep(Duration::from_millis(700));

@@ -164,8 +164,10 @@ fn in_seconds(time: f64, unit: TimeUnit) -> f64 {
     time * 10_f64.powi(unit.shift() - 6)
 }
 
-/// The median of the gaps between times, whatever their sign.
+/// The median of the gaps between times, in order of time: those that run back tell nothing of the rate.
 fn median_gap(times: &[f64]) -> f64 {
+    let mut times = times.to_vec();
+    times.sort_by(f64::total_cmp);
     let gaps = times.windows(2).map(|pair| match pair {
         [before, after] => (after - before).abs(),
         _ => 0.0,
