@@ -1,7 +1,7 @@
 //! AEDAT 1.0 of the DVS128, as jAER wrote it from 2008 to 2010.
 //!
 //! `#!AER-DAT1.0` and further header lines that begin with `#`, then events of 6 bytes, big-endian: an address of
-//! 16 bits, laid out as [`Layout::Dvs128`](super::aedat_chip::Layout) says, and a time of 32 bits in us. The time
+//! 16 bits, laid out as `Layout::Dvs128` says, and a time of 32 bits in us. The time
 //! wraps after 71.6 minutes; the wraps are carried. y is as in the file: it counts upwards in jAER. Files without
 //! any header, which jAER wrote before, aren't told from other bytes.
 

@@ -1,7 +1,7 @@
 //! AEDAT 2.0 of DVS128 and every DAVIS, as jAER, v2e and MATLAB scripts write it.
 //!
 //! Header lines that begin with `#`, then pairs of big-endian 32-bit words: address, time in us. How an address
-//! tells pixel and polarity says [`Layout`]. y is as in the file: it counts upwards in jAER.
+//! tells pixel and polarity says `Layout`. y is as in the file: it counts upwards in jAER.
 //!
 //! Which chip it is says the header line `# AEChip:`; v2e, saveaerdat.m and jAER before 2014 write none. Then:
 //!
@@ -11,7 +11,7 @@
 //!    provided that no address of the whole file lies outside of it: else the reader asks.
 //! 3. What was taken to be so is among the reader's assumptions.
 //!
-//! A chip that is not in [`Chip`]'s list is read by the same rules with the caller's size, and refused without
+//! A chip that is not in `Chip`'s list is read by the same rules with the caller's size, and refused without
 //! one. The time wraps after 71.6 minutes; the wraps are carried. No maintained crate reads AEDAT 2.0.
 
 use std::path::Path;

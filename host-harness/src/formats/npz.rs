@@ -11,10 +11,10 @@
 //!   without a size from the caller a first pass finds the largest x and y, plus one.
 //! * Integers and floats of any width up to 8 bytes, either byte order, bool for p, timedelta64 and datetime64
 //!   for t. Arrays of Python's objects (pickled dictionaries) are named in the error.
-//! * t: of a time type, or of a name that ends in a unit, in that; else [`super::time_unit`] has the rule.
-//!   [`super::row_events`] has the rules for clocks that wrap, polarities and events that cannot be one.
+//! * t: of a time type, or of a name that ends in a unit, in that; else `super::time_unit` has the rule.
+//!   `super::row_events` has the rules for clocks that wrap, polarities and events that cannot be one.
 //!
-//! A zip file without arrays may hold one recording of another kind: see [`super::zip_recording`].
+//! A zip file without arrays may hold one recording of another kind: see `super::zip_recording`.
 //!
 //! The arrays are read in step, one batch of each at a time. A wrong CRC-32 of one is an error
 //! after the last event; a truncated file has lost its directory and cannot be read at all.

@@ -11,7 +11,7 @@
 //!   other columns are left out. `--columns` names or places them. They may be places in a dictionary of
 //!   numbers, or of texts such as ON and OFF.
 //! * t: of a type with a unit (timestamp, duration, time) or with a unit in its name in that one, rounded to
-//!   microseconds; else [`super::time_unit`] has the rule. [`super::row_events`] has those for clocks that
+//!   microseconds; else `super::time_unit` has the rule. `super::row_events` has those for clocks that
 //!   wrap, polarities, and events that cannot be one, such as those with a missing value.
 //! * The sensor's size: the schema's metadata `width` and `height`, `resolution` and the like; else the caller's; else from names like
 //!   `x@320`; else the largest x and y plus one, by a first pass.

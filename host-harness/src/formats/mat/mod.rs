@@ -10,7 +10,7 @@
 //! * Real numbers of any class, also as the smaller types that MATLAB stores whole ones in; compressed or
 //!   not, of either byte order.
 //! * A structure in structures is named by its place: `FILE.mat/aedat/data/polarity` of `AedatTools`.
-//! * t: [`super::time_unit`] has the rule; [`super::row_events`] those for clocks that wrap, polarities and
+//! * t: `super::time_unit` has the rule; `super::row_events` those for clocks that wrap, polarities and
 //!   events that cannot be one.
 //! * p: 1 is on; 0 or -1 is off. Where all are 1 or 2 and some are 2, 2 is on and 1 is off.
 //! * Pixels count from 1, as MATLAB does, where no column or row is 0, since some event of a camera's recording
