@@ -843,7 +843,7 @@ fn an_offset_is_added_in_every_format_and_no_option_is_ignored() {
         let says = other
             .said
             .iter()
-            .any(|said| said.starts_with("sensor size 64x48"));
+            .any(|said| said.starts_with("stated size 64x48"));
         assert_eq!(says, states_size, "{ending}");
         if ending != "txt" {
             for reading in [

@@ -53,7 +53,7 @@ pub fn adjusted(
     if reading.size.is_some_and(|size| size != sensor) {
         let Sensor { width, height } = sensor;
         assumptions.push(Assumption {
-            what: "sensor size",
+            what: "stated size",
             taken: format!("{width}x{height}"),
             why: "the file states it; --width and --height count where a file states none"
                 .to_owned(),

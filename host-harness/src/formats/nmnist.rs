@@ -24,7 +24,7 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use super::output::Output;
-use super::{EventWriter, Skipped, check_inside};
+use super::{Assumption, EventWriter, Skipped, check_inside};
 use crate::fit::beyond;
 
 /// Row of what lets time pass.
@@ -75,14 +75,20 @@ impl NmnistReader {
         size: Option<Sensor>,
     ) -> anyhow::Result<Self> {
         let mut input = Input::new(source, name)?;
+        let mut assumptions = Vec::new();
         let sensor = match size {
             Some(sensor) => sensor,
-            None => largest(&mut input)?,
+            None => {
+                let sensor = largest(&mut input)?;
+                assumptions.push(Assumption::size_taken(sensor));
+                sensor
+            }
         };
         Ok(Self::around(NmnistDecoder {
             input,
             words: Words::default(),
             sensor,
+            assumptions,
             passed_us: 0,
             events: 0,
             skipped: Skipped::default(),
@@ -113,6 +119,7 @@ pub struct NmnistDecoder {
     input: Input,
     words: Words<5>,
     sensor: Sensor,
+    assumptions: Vec<Assumption>,
     /// Added to every time that follows.
     passed_us: u64,
     events: u64,
@@ -126,6 +133,10 @@ impl Decode for NmnistDecoder {
 
     fn sensor(&self) -> Sensor {
         self.sensor
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.assumptions
     }
 
     fn skipped(&self) -> &Skipped {

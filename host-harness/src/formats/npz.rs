@@ -170,7 +170,11 @@ impl NpzReader {
         rows.assumptions.extend(plan.assumption.clone());
         rows.sensor = match file.stated_size()?.or(reading.size).or(plan.named_sensor) {
             Some(sensor) => sensor,
-            None => file.largest(&plan, reading)?,
+            None => {
+                let sensor = file.largest(&plan, reading)?;
+                rows.assumptions.push(Assumption::size_taken(sensor));
+                sensor
+            }
         };
         let used = plan.used + file.sizes();
         let others = file.arrays().saturating_sub(used);

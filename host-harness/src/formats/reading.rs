@@ -159,6 +159,18 @@ pub struct Assumption {
     pub why: String,
 }
 
+impl Assumption {
+    /// The sensor's size is that of the largest x and y.
+    #[must_use]
+    pub fn size_taken(sensor: Sensor) -> Self {
+        Self {
+            what: SIZE_TAKEN,
+            taken: format!("{}x{}", sensor.width, sensor.height),
+            why: "the largest x and y; --width and --height say otherwise".to_owned(),
+        }
+    }
+}
+
 impl fmt::Display for Assumption {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} {}: {}", self.what, self.taken, self.why)

@@ -177,6 +177,7 @@ impl TextReader {
                 decoder.skipped = start.skipped.clone();
                 decoder.polarities = polarities;
                 decoder.lines.restart(&start)?;
+                decoder.assumptions.push(Assumption::size_taken(sensor));
                 sensor
             }
         };

@@ -114,6 +114,10 @@ impl ArrowReader {
             None => {
                 let sensor = decoder.largest(reading)?;
                 decoder.rewind(start);
+                decoder
+                    .numbers
+                    .assumptions
+                    .push(Assumption::size_taken(sensor));
                 sensor
             }
         };

@@ -108,7 +108,11 @@ impl Hdf5Reader {
         rows.assumptions.extend(plan.assumption.clone());
         rows.sensor = match stated.or(reading.size).or(plan.sensor) {
             Some(sensor) => sensor,
-            None => plan.largest(&file, reading, base)?,
+            None => {
+                let sensor = plan.largest(&file, reading, base)?;
+                rows.assumptions.push(Assumption::size_taken(sensor));
+                sensor
+            }
         };
         let others = file.datasets().len().saturating_sub(plan.used + sizes);
         rows.skipped.add("other datasets", others as u64);

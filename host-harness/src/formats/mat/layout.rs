@@ -33,6 +33,8 @@ pub struct Plan {
     pub base: Base,
     /// The sensor's size.
     pub sensor: Sensor,
+    /// Whether the size is that of the largest x and y.
+    pub is_size_taken: bool,
     /// Variables used.
     pub used: usize,
 }
@@ -80,11 +82,13 @@ impl Plan {
             assumption: found.assumption,
             base: Base::default(),
             sensor: Sensor::new(1, 1).context("the least sensor")?,
+            is_size_taken: false,
             used: found.used,
         };
         plan.sample = plan.sample(file)?;
         let range = plan.range(file, reading)?;
         plan.base = range.base(stated, found.from_zero);
+        plan.is_size_taken = stated.or(reading.size).is_none();
         let sensor = stated.or(reading.size).or_else(|| range.sensor(plan.base));
         plan.sensor = sensor.with_context(|| {
             let name = file.name();

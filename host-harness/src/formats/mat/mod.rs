@@ -79,6 +79,9 @@ impl MatReader {
             .map_err(|what| file.error_in(&plan.arrays[T], what))?;
         rows.sensor = plan.sensor;
         rows.assumptions.extend(plan.assumption.clone());
+        if plan.is_size_taken {
+            rows.assumptions.push(Assumption::size_taken(plan.sensor));
+        }
         let others = file.variables().len().saturating_sub(plan.used);
         rows.skipped.add("other variables", others as u64);
         let columns = plan.columns(&file, 0)?;

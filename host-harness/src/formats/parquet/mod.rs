@@ -103,6 +103,10 @@ impl ParquetReader {
             None => {
                 let sensor = decoder.largest(reading)?;
                 decoder.go_to(0);
+                decoder
+                    .numbers
+                    .assumptions
+                    .push(Assumption::size_taken(sensor));
                 sensor
             }
         };
