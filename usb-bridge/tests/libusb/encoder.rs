@@ -25,7 +25,7 @@ fn a_recording_returns_and_a_refusal_is_one_line() {
         command.args(["mcu", "scene.csv", "--width", "70", "--height", "40"]);
         command.args(["--window-us", "5000", "--coder", coder]);
         let output = command
-            .args(["--json", "-o", "out.eecvs"])
+            .args(["--json", "-o", "out.eecvs", "--overwrite"])
             .output()
             .unwrap();
         assert!(output.status.success(), "{output:?}");
