@@ -237,7 +237,6 @@ proptest! {
         };
         let all = compared(&found);
         prop_assert_eq!((all.exact_fraction, all.mse, all.emd_pixel_us), (1.0, 0.0, 0.0));
-        prop_assert_eq!((all.late_a, all.late_b), (0, 0));
         let fewer = compared(&found[1..]);
         let expected = 1.0 - 1.0 / events.len() as f64;
         prop_assert!((fewer.exact_fraction - expected).abs() < 1e-9);

@@ -627,3 +627,35 @@ fn recordings_that_run_back_are_encoded_whole() {
         }
     }
 }
+
+/// A recording whose clock is another one's plus a constant: what `--align` is for.
+#[test]
+fn a_constant_between_clocks_is_found_and_taken_off() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    let (sensor, mut events) = folder.events("scene.raw");
+    for event in &mut events {
+        event.t_us += 100;
+    }
+    let mut writer = formats::create(&folder.path("later.raw"), sensor).unwrap();
+    writer.write(&events).unwrap();
+    writer.finish().unwrap();
+    for (a, b, offset_us) in [
+        ("scene.raw", "later.raw", 100),
+        ("later.raw", "scene.raw", -100),
+    ] {
+        let apart = folder
+            .eecvs(&format!("compare {a} {b} --json"))
+            .warns(&[&format!("{offset_us} us ahead"), "--align"])
+            .object();
+        assert_eq!(apart["clock_offset_us"], offset_us);
+        assert!(number(&apart, "exact_fraction") < 0.5 && number(&apart, "emd_pixel_us") <= 100.0);
+        let aligned = folder
+            .eecvs(&format!("compare {a} {b} --align --json"))
+            .ok()
+            .object();
+        assert_eq!(aligned["aligned"], true);
+        assert_eq!(number(&aligned, "exact_fraction"), 1.0);
+        assert_eq!(number(&aligned, "emd_pixel_us"), 0.0);
+    }
+}

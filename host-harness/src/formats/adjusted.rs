@@ -9,17 +9,12 @@ use eecvs_nostd::{Event, Sensor};
 
 use super::{Assumption, BadEvents, EventReader, Format, Pause, Reading, Skipped};
 
-/// Formats whose readers see to the caller's unit, columns, offset and bad events themselves.
-const TABLES: [&str; 8] = [
-    "text", "npy", "npz", "zip", "hdf5", "mat", "arrow", "parquet",
-];
-
 /// What events are counted as that an offset moves out of what a time can be.
 const BEFORE_ZERO: &str = "events before time 0";
 
 /// Refuses what `reading` asks of a format that it can have no effect on.
 pub fn check(format: &Format, name: &str, reading: &Reading) -> Result<()> {
-    let is_table = TABLES.contains(&format.name);
+    let is_table = format.is_table;
     ensure!(
         is_table || reading.time_unit.is_none(),
         "{name}: the times of {} have one unit, microseconds: leave --time-unit out",
@@ -40,7 +35,7 @@ pub fn adjusted(
     name: &str,
     reading: &Reading,
 ) -> Result<Box<dyn EventReader>> {
-    let is_table = TABLES.contains(&format.name);
+    let is_table = format.is_table;
     let leaves_out = reading.bad_events == BadEvents::LeaveOut;
     ensure!(
         is_table || !leaves_out || reader.leave_out_bad_events(),

@@ -32,6 +32,7 @@ pub const FORMAT: Format = Format {
     detect: |start| start.begins(MAGIC),
     open: |Opening { source, name, .. }| Ok(Box::new(Aedat1Reader::new(source, name)?)),
     has_places: false,
+    is_table: false,
     grows: true,
     limits: Limits::NONE,
     create: None,

@@ -52,6 +52,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(Aedat2Reader::new(source, name, reading.size)?)),
     has_places: false,
+    is_table: false,
     grows: true,
     limits: Limits {
         x_max: 239,

@@ -56,6 +56,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(Aedat3Reader::new(source, name, reading.size)?)),
     has_places: false,
+    is_table: false,
     grows: true,
     limits: Limits::NONE,
     create: None,

@@ -54,6 +54,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(DatReader::new(source, name, reading.size)?)),
     has_places: false,
+    is_table: false,
     grows: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(DatWriter::create(path, sensor)?))),

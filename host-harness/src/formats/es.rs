@@ -60,6 +60,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(EsReader::new(source, name, reading.size)?)),
     has_places: false,
+    is_table: false,
     grows: true,
     limits: Limits {
         t_max_us: T_MAX_US,

@@ -51,6 +51,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(Evt21Reader::new(source, name, reading.size)?)),
     has_places: false,
+    is_table: false,
     grows: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Evt21Writer::create(path, sensor)?))),

@@ -59,6 +59,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(Evt4Reader::new(source, name, reading.size)?)),
     has_places: false,
+    is_table: false,
     grows: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Evt4Writer::create(path, sensor)?))),

@@ -60,6 +60,8 @@ pub struct Format {
     pub open: fn(Opening) -> anyhow::Result<Box<dyn EventReader>>,
     /// Whether a place in a file can be named behind it, as [`open`] says.
     pub has_places: bool,
+    /// Whether its readers see to the caller's unit, columns, offset and bad events themselves, as tables do.
+    pub is_table: bool,
     /// Whether a file can be read from front to back while it is being written.
     pub grows: bool,
     /// What its files hold of events.

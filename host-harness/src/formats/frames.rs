@@ -34,6 +34,7 @@ pub const FORMAT: Format = Format {
     detect: |start| start.begins(&SYNC) || start.is_named(ENDING),
     open: |Opening { source, name, .. }| Ok(Box::new(FramesReader::new(source, name)?)),
     has_places: false,
+    is_table: false,
     grows: false,
     limits: Limits::NONE,
     create: None,

@@ -51,6 +51,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(NmnistReader::new(source, name, reading.size)?)),
     has_places: false,
+    is_table: false,
     grows: true,
     limits: Limits {
         x_max: u8::MAX as u16,

@@ -51,6 +51,7 @@ pub const FORMAT: Format = Format {
     detect: |start| start.begins(MAGIC),
     open: open_zip,
     has_places: true,
+    is_table: true,
     grows: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(NpzWriter::create(path, sensor)?))),
@@ -74,6 +75,7 @@ pub const NPY_FORMAT: Format = Format {
         Ok(Box::new(NpzReader::new(file, "npy", None, &reading)?))
     },
     has_places: false,
+    is_table: true,
     grows: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(NpyWriter::create(path, sensor)?))),

@@ -56,6 +56,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(TextReader::new(source, name, reading)?)),
     has_places: false,
+    is_table: true,
     grows: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor)?))),

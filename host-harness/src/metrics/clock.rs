@@ -6,9 +6,9 @@
 use std::collections::HashMap;
 
 use anyhow::Result;
-use eecvs_nostd::{Event, Polarity, Sensor};
+use eecvs_nostd::Polarity;
 
-use crate::formats::{Assumption, EventReader, Skipped};
+use crate::formats::EventReader;
 
 /// Events looked at, of either recording.
 const EVENTS: usize = 1 << 20;
@@ -77,56 +77,10 @@ fn first_times(reader: &mut dyn EventReader) -> Result<HashMap<(u16, u16, Polari
     Ok(times)
 }
 
-/// A recording whose times are moved to later ones.
-pub struct Later {
-    reader: Box<dyn EventReader>,
-    by_us: u64,
-}
-
-impl Later {
-    /// Every time of `reader` plus `by_us`.
-    #[must_use]
-    pub const fn new(reader: Box<dyn EventReader>, by_us: u64) -> Self {
-        Self { reader, by_us }
-    }
-}
-
-impl EventReader for Later {
-    fn format(&self) -> &'static str {
-        self.reader.format()
-    }
-
-    fn sensor(&self) -> Sensor {
-        self.reader.sensor()
-    }
-
-    fn camera(&self) -> Option<&str> {
-        self.reader.camera()
-    }
-
-    fn assumptions(&self) -> &[Assumption] {
-        self.reader.assumptions()
-    }
-
-    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
-        let before = events.len();
-        let read = self.reader.read(events)?;
-        for event in events.iter_mut().skip(before) {
-            let later = event.t_us.checked_add(self.by_us);
-            event.t_us = later.ok_or_else(|| {
-                anyhow::anyhow!("a time beyond 2^64 us: the clocks are too far apart")
-            })?;
-        }
-        Ok(read)
-    }
-
-    fn skipped(&self) -> &Skipped {
-        self.reader.skipped()
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use eecvs_nostd::Event;
+
     use super::*;
     use crate::metrics::memory_reader::{MemoryReader, event};
 

@@ -69,12 +69,6 @@ pub struct Comparison {
     pub emd_time_ms: f64,
     /// Cost of the matching per event of A, us.
     pub emd_pixel_us: f64,
-    /// Events of A too far out of time order to be placed; not a JSON key.
-    #[serde(skip)]
-    pub late_a: u64,
-    /// Events of B too far out of time order to be placed; not a JSON key.
-    #[serde(skip)]
-    pub late_b: u64,
 }
 
 /// Compares two recordings in windows of `window_us`.
@@ -149,7 +143,7 @@ pub fn compare(
         pixels: f64::from(sensor.pixels()),
         peak: peak as f64,
     };
-    Ok(sums.comparison(&frames, pairs.a(), pairs.b(), matcher.cost(), window_us))
+    Ok(sums.comparison(&frames, pairs.a(), pairs.b(), matcher.cost()))
 }
 
 /// What both recordings are of.
@@ -233,7 +227,6 @@ impl Sums {
         a: &Windower,
         b: &Windower,
         matching_us: u128,
-        window_us: u64,
     ) -> Comparison {
         let events_a = a.events_read();
         let share = |events: u64| match events {
@@ -241,7 +234,6 @@ impl Sums {
             0 => 1.0,
             events => self.matched as f64 / events as f64,
         };
-        let late_cost = u128::from(a.late() + b.late()) * u128::from(window_us);
         let scale = frames.peak.max(1.0).powi(2) * frames.pixels * frames.windows.max(1.0);
         Comparison {
             events_a,
@@ -251,9 +243,7 @@ impl Sums {
             mse: self.squared_error as f64 / scale,
             ssim: 1.0 - self.dissimilarity / frames.windows.max(1.0),
             emd_time_ms: self.emd_time_us / self.windows_with_events.max(1) as f64 / 1000.0,
-            emd_pixel_us: (matching_us + late_cost) as f64 / events_a.max(1) as f64,
-            late_a: a.late(),
-            late_b: b.late(),
+            emd_pixel_us: matching_us as f64 / events_a.max(1) as f64,
         }
     }
 }

@@ -223,7 +223,7 @@ fn times_that_run_back_far_are_in_their_windows() {
         event(11, 1, 1, true),
     ];
     let c = compare_events(&a, &a);
-    assert_eq!((c.events_a, c.late_a, c.late_b), (3, 0, 0));
+    assert_eq!(c.events_a, 3);
     assert_eq!((c.exact_fraction, c.emd_pixel_us), (1.0, 0.0));
     let c = compare_events(&a, &a[..2]);
     assert!((c.exact_fraction - 2.0 / 3.0).abs() < 1e-15);
@@ -363,7 +363,7 @@ fn measure_a_recording_of_1_2_million_events() {
             .map(|_| {
                 let start = std::time::Instant::now();
                 let c = compare(&|| open(&a), &|| open(b), 32_768, &mut |_| {}).unwrap();
-                assert_eq!((c.events_a, c.late_a + c.late_b), (1_200_000, 0));
+                assert_eq!(c.events_a, 1_200_000);
                 start.elapsed().as_secs_f64()
             })
             .collect();

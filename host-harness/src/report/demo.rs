@@ -211,8 +211,6 @@ mod tests {
                 ssim: 1.0,
                 emd_time_ms: 0.0899,
                 emd_pixel_us: 119.6,
-                late_a: 0,
-                late_b: 0,
             },
         };
         let expected =

@@ -81,6 +81,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(ArrowReader::new(source, name, &reading)?)),
     has_places: false,
+    is_table: true,
     grows: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(ArrowWriter::create(path, sensor)?))),

@@ -65,6 +65,7 @@ pub const FORMAT: Format = Format {
                ..
            }| { Ok(Box::new(Hdf5Reader::new(source, name, place, &reading)?)) },
     has_places: true,
+    is_table: true,
     grows: false,
     // And 38 hours from the first event to the last, which no limit of a single event tells.
     limits: Limits::NONE,

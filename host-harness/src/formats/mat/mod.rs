@@ -53,6 +53,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(MatReader::new(source, name, place, &reading)?)),
     has_places: true,
+    is_table: true,
     grows: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(MatWriter::create(path, sensor)?))),

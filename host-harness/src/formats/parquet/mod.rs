@@ -79,6 +79,7 @@ pub const FORMAT: Format = Format {
                ..
            }| Ok(Box::new(ParquetReader::new(source, name, &reading)?)),
     has_places: false,
+    is_table: true,
     grows: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(ParquetWriter::create(path, sensor)?))),

@@ -63,6 +63,7 @@ pub const FORMAT: Format = Format {
         Ok(Box::new(open(opening.source, name, place, reading.size)?))
     },
     has_places: true,
+    is_table: false,
     grows: true,
     limits: Limits {
         t_max_us: t_max_us(Serialisation::Ros1),

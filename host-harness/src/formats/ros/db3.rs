@@ -35,6 +35,7 @@ pub const FORMAT: Format = Format {
     detect: |start| start.begins(MAGIC),
     open,
     has_places: true,
+    is_table: false,
     grows: false,
     limits: Limits {
         t_max_us: t_max_us(Serialisation::Cdr),

@@ -27,6 +27,7 @@ pub const FORMAT: Format = Format {
     name: "rosbag2",
     title: "ROS 2 bag",
     has_places: true,
+    is_table: false,
     create: None,
     ..mcap::FORMAT
 };
