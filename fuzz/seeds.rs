@@ -172,10 +172,7 @@ fn frames(folder: &Path) -> anyhow::Result<()> {
     };
     for transform in Transform::ALL {
         let config = Config {
-            window: WindowConfig {
-                sensor,
-                window_us: 20,
-            },
+            window: WindowConfig::new(sensor, 20),
             thresholds: Thresholds::new(0, 0).unwrap_or_else(|| unreachable!("in order")),
             transform: Some(transform),
             m: 8,

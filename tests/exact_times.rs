@@ -143,10 +143,7 @@ fn windows(reader: &mut dyn EventReader, step_log2: i8) -> Vec<DecodedWindow> {
         grid: Some(u16::from(M)),
         quantiser: Quantiser::new(step_log2).expect("in range"),
         ..Config::new(
-            WindowConfig {
-                sensor: reader.sensor(),
-                window_us: WINDOW_US,
-            },
+            WindowConfig::new(reader.sensor(), WINDOW_US),
             Thresholds::new(0, 0).expect("equal thresholds"),
             Mode::Transform,
         )

@@ -28,10 +28,7 @@ fn config() -> Config {
     Config {
         m: 8,
         ..Config::new(
-            WindowConfig {
-                sensor: SENSOR,
-                window_us: WINDOW_US,
-            },
+            WindowConfig::new(SENSOR, WINDOW_US),
             Thresholds::new(1_000_000_000_000, 50_000_000_000_000).unwrap(),
             Mode::Transform,
         )

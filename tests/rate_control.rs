@@ -81,10 +81,7 @@ fn a_budget_may_change() {
     let events = scene(sensor, &[(6000, 200, true)]);
     for coder in [Coder::Fast, Coder::Dense] {
         let config = Config {
-            window: eecvs_nostd::WindowConfig {
-                sensor,
-                window_us: 10_000,
-            },
+            window: eecvs_nostd::WindowConfig::new(sensor, 10_000),
             ..with_budget(sensor, coder, Fidelity::Lossless, 0)
         };
         let budgets = [400_000, 50_000, 200_000, 20_000];

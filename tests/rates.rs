@@ -92,10 +92,7 @@ fn events(path: &Path) -> Vec<Event> {
 fn frames(path: &Path, hybrid: Hybrid) -> (Vec<u8>, f64) {
     let reader = formats::open(path, None).expect("a recording");
     let config = Config::new(
-        WindowConfig {
-            sensor: reader.sensor(),
-            window_us: 32_768,
-        },
+        WindowConfig::new(reader.sensor(), 32_768),
         Thresholds::new(0, 0).expect("equal thresholds"),
         Mode::Hybrid(hybrid),
     );

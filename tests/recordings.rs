@@ -36,10 +36,7 @@ fn frames(path: &Path, transform: Option<Transform>, m: u8, thresholds: Threshol
         transform,
         m,
         ..Config::new(
-            WindowConfig {
-                sensor: reader.sensor(),
-                window_us: WINDOW_US,
-            },
+            WindowConfig::new(reader.sensor(), WINDOW_US),
             thresholds,
             Mode::Transform,
         )

@@ -82,7 +82,7 @@ pub fn config(sensor: Sensor) -> impl Strategy<Value = Config> {
                 grid,
                 quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
                 ..Config::new(
-                    WindowConfig { sensor, window_us },
+                    WindowConfig::new(sensor, window_us),
                     Thresholds::new(low, low + more).expect("low is not above high"),
                     Mode::Transform,
                 )
@@ -113,10 +113,7 @@ pub fn plain_config(sensor: Sensor, transform: Transform, m: u8) -> Config {
         transform: Some(transform),
         m,
         ..Config::new(
-            WindowConfig {
-                sensor,
-                window_us: 32_768,
-            },
+            WindowConfig::new(sensor, 32_768),
             Thresholds::new(0, 0).expect("equal thresholds"),
             Mode::Transform,
         )

@@ -3,7 +3,7 @@
 use std::num::{NonZeroU32, NonZeroUsize};
 
 use eecvs_nostd::evt2::{Evt2Decoder, Evt2Encoder, Word};
-use eecvs_nostd::window::EVENTS_MAX;
+use eecvs_nostd::window::{EMPTY_WINDOWS_MAX, EVENTS_MAX};
 use eecvs_nostd::{
     Encoder, Event, NoRoom, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Regime, Sensor, Transform,
 };
@@ -83,6 +83,105 @@ proptest! {
         }
         prop_assert_eq!(encode(config, &events, 1000, FRAME_BYTES), sorted);
     }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    /// Cells of the grid, told by their number: what windows of two sensors are matched by.
+    #[test]
+    fn with_an_origin_windows_lie_in_the_cells_of_its_grid(
+        mut times in prop::collection::vec(0..3000_u64, 1..60),
+        is_sorted in any::<bool>(),
+        window_us in 1..200_u32,
+        origin_us in prop_oneof![0..4000_u64, Just(u64::MAX)],
+        every_window in any::<bool>(),
+        window_events in prop_oneof![1..6_usize, Just(1000)],
+    ) {
+        if is_sorted {
+            times.sort_unstable();
+        }
+        let sensor = Sensor { width: 40, height: 2 };
+        let mut config = plain_config(sensor, Transform::Dct, 8);
+        (config.window.window_us, config.window.origin_us) = (window_us, Some(origin_us));
+        config.window.every_window = every_window;
+        let events: Vec<_> = times.iter().map(|t_us| at(*t_us, 0)).collect();
+        let frames = encode(config, &events, window_events, FRAME_BYTES);
+        let cell = |t_us: u64| {
+            (i128::from(t_us) - i128::from(origin_us)).div_euclid(i128::from(window_us))
+        };
+        let mut before: Option<i128> = None;
+        let mut times = times.into_iter();
+        for bytes in &frames {
+            let header = parse(bytes).header;
+            let duration_us = u64::from(header.duration_us);
+            let here = cell(header.t0_us);
+            prop_assert_eq!(cell(header.t0_us + duration_us - 1), here);
+            if !header.truncated {
+                // Up to the end of its cell.
+                prop_assert_eq!(cell(header.t0_us + duration_us), here + 1);
+            }
+            for t_us in times.by_ref().take(header.window_events as usize) {
+                prop_assert_eq!(cell(t_us), here);
+            }
+            if let Some(before) = before && !header.begins_run {
+                prop_assert!(here >= before);
+                if every_window {
+                    prop_assert!(here <= before + 1);
+                } else {
+                    prop_assert!(header.window_events > 0);
+                }
+            }
+            before = Some(here);
+        }
+        prop_assert_eq!(times.next(), None);
+    }
+}
+
+#[test]
+fn every_window_has_a_frame_but_those_of_a_jump() {
+    let sensor = Sensor {
+        width: 40,
+        height: 2,
+    };
+    let mut config = plain_config(sensor, Transform::Dct, 8);
+    (config.window.window_us, config.window.every_window) = (10, true);
+    let frames = |events: &[Event]| -> Vec<_> {
+        let frames = encode(config, events, 10, FRAME_BYTES);
+        let headers = frames.iter().map(|bytes| parse(bytes).header);
+        headers.map(|h| (h.t0_us, h.window_events)).collect()
+    };
+    assert_eq!(
+        frames(&[at(7, 0), at(45, 1)]),
+        [(7, 1), (17, 0), (27, 0), (37, 1)]
+    );
+    // The last gap that is filled, and the first that is taken for a jump of the clock.
+    let gap_us = 10 * EMPTY_WINDOWS_MAX;
+    assert_eq!(
+        frames(&[at(0, 0), at(gap_us + 9, 1)]).len() as u64,
+        EMPTY_WINDOWS_MAX + 1
+    );
+    assert_eq!(
+        frames(&[at(0, 0), at(gap_us + 10, 1)]),
+        [(0, 1), (gap_us + 10, 1)]
+    );
+    // A clock that passes closes them without events, and begins before any has come.
+    let mut storage = HostStorage::new(sensor, 10);
+    let mut encoder = storage.encoder(config).expect("a valid configuration");
+    let mut out = vec![0; OUTPUT_BYTES_MIN];
+    let mut starts = Vec::new();
+    for now_us in [100, 105, 110, 131] {
+        loop {
+            encoder.window().pass(now_us);
+            if encoder.window().closed().is_none() {
+                break;
+            }
+            while let Some(frame) = encoder.next_frame(&mut out).expect("room for a frame") {
+                starts.push((now_us, frame.header.t0_us, frame.header.events));
+            }
+        }
+    }
+    assert_eq!(starts, [(110, 100, 0), (131, 110, 0), (131, 120, 0)]);
 }
 
 fn at(t_us: u64, x: u16) -> Event {

@@ -318,10 +318,7 @@ fn scenes(options: Options) -> Result<Vec<Arc<Played>>> {
         coder: Coder::Fast,
         fidelity: Fidelity::Lossless,
     });
-    let window = WindowConfig {
-        sensor: options.sensor,
-        window_us: options.window_us,
-    };
+    let window = WindowConfig::new(options.sensor, options.window_us);
     let config = Config::new(window, ThresholdsFile::scenes()?.thresholds()?, mode);
     let mut scenes = Vec::new();
     for preset in PRESETS {

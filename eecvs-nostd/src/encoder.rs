@@ -14,7 +14,7 @@ use crate::window_encoder::{Encoded, WindowEncoder};
 /// # use eecvs_nostd::*;
 /// let mut storage: Storage<64, { segments(8, 4) }, { bitmap_words(segments(8, 4)) }, 128> =
 ///     Storage::new();
-/// let window = WindowConfig { sensor: Sensor::new(8, 4).unwrap(), window_us: 1000 };
+/// let window = WindowConfig::new(Sensor::new(8, 4).unwrap(), 1000);
 /// let thresholds = Thresholds::new(0, 0).unwrap();
 /// let config = Config::new(window, thresholds, Mode::Hybrid(Hybrid::default()));
 /// let mut encoder = storage.encoder(config).unwrap();

@@ -148,10 +148,7 @@ mod tests {
             heads: &mut heads,
             bitmap: &mut bitmap,
         };
-        let config = WindowConfig {
-            sensor,
-            window_us: 100,
-        };
+        let config = WindowConfig::new(sensor, 100);
         let mut window = Window::new(config, buffers).unwrap();
         for (x, y) in events {
             window.push(event(*x, *y));

@@ -127,7 +127,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
             return false;
         };
         let sensor = window.config().sensor;
-        let window_us = u64::from(window.config().window_us);
+        let window_us = u64::from(window.duration_us());
         let mut before_us = start_us;
         for event in events {
             let since_us = event.t_us.wrapping_sub(start_us);
@@ -150,7 +150,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         if is_off || !sensor.contains(event.x, event.y) {
             return window.push(event) != Push::Closed;
         }
-        let window_us = u64::from(window.config().window_us);
+        let window_us = u64::from(window.duration_us());
         let since_us = match window.next_start().us {
             Some(start_us) => event.t_us.checked_sub(start_us),
             // No window of the run has begun.
@@ -186,7 +186,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
                 // Of unsorted events that a full window left.
                 Some(start_us) if self.oldest_us < start_us => window.fall_back(self.oldest_us),
                 Some(start_us) => {
-                    let window_us = u64::from(window.config().window_us);
+                    let window_us = u64::from(window.duration_us());
                     if self.oldest_us - start_us < window_us {
                         self.move_in(window, start_us);
                         continue;
@@ -220,7 +220,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
 
     /// Moves those that lie in the window into it, up to one that closes it.
     fn move_in(&mut self, window: &mut Window<'_>, start_us: u64) {
-        let window_us = u64::from(window.config().window_us);
+        let window_us = u64::from(window.duration_us());
         let is_inside = |event: &Event| event.t_us >= start_us && event.t_us - start_us < window_us;
         if self.is_ascending {
             while let Some(event) = self.front().filter(is_inside) {

@@ -105,13 +105,13 @@ mod tests {
     static STORAGE: std::sync::Mutex<Small> = std::sync::Mutex::new(Small::new());
 
     const CONFIG: Config = Config {
-        window: WindowConfig {
-            sensor: Sensor {
+        window: WindowConfig::new(
+            Sensor {
                 width: 40,
                 height: 3,
             },
-            window_us: 1000,
-        },
+            1000,
+        ),
         thresholds: Thresholds::new(0, 0).unwrap(),
         transform: None,
         m: 16,

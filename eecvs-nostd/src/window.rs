@@ -1,6 +1,6 @@
 //! The open window: its event buffer and its closing rule.
 
-use core::num::NonZeroU32;
+use core::num::{NonZeroU32, NonZeroU64};
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -125,7 +125,11 @@ pub const fn bitmap_words(segments: usize) -> usize {
     segments.div_ceil(32)
 }
 
-/// Which sensor, and how long a window is.
+/// Windows without events in a row that [`WindowConfig::every_window`] closes, at most: a longer gap is a clock's
+/// jump rather than a scene without motion, and is skipped.
+pub const EMPTY_WINDOWS_MAX: u64 = 1 << 16;
+
+/// Which sensor, how long a window is, and where windows begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WindowConfig {
@@ -133,6 +137,50 @@ pub struct WindowConfig {
     pub sensor: Sensor,
     /// T in microseconds, at least 1.
     pub window_us: u32,
+    /// A boundary of the grid of windows in microseconds: they begin at `origin_us` + i T for whole i, so that
+    /// those of several sensors match. `None`: the grid begins with each run's first event.
+    pub origin_us: Option<u64>,
+    /// Windows without events are closed too, [`EMPTY_WINDOWS_MAX`] of them in a row at most, so that a receiver
+    /// knows that the sensor is there and saw nothing.
+    pub every_window: bool,
+}
+
+impl WindowConfig {
+    /// Windows of `window_us` that begin with the first event; those without events are skipped.
+    #[must_use]
+    pub const fn new(sensor: Sensor, window_us: u32) -> Self {
+        Self {
+            sensor,
+            window_us,
+            origin_us: None,
+            every_window: false,
+        }
+    }
+
+    /// Time from the last boundary of the grid to `t_us`; 0 without an origin.
+    const fn since_boundary_us(&self, t_us: u64) -> u64 {
+        let (Some(origin_us), Some(window_us)) =
+            (self.origin_us, NonZeroU64::new(self.window_us as u64))
+        else {
+            return 0;
+        };
+        let rest_us = t_us.abs_diff(origin_us) % window_us.get();
+        if t_us >= origin_us || rest_us == 0 {
+            rest_us
+        } else {
+            window_us.get() - rest_us
+        }
+    }
+
+    /// Where a window begins that nothing is before and that holds `t_us`.
+    const fn start_us(&self, t_us: u64) -> u64 {
+        t_us.saturating_sub(self.since_boundary_us(t_us))
+    }
+
+    /// Time from a window's start to its end: T, or less where it begins within the grid.
+    const fn duration_us(&self, start_us: u64) -> u32 {
+        self.window_us - self.since_boundary_us(start_us) as u32
+    }
 }
 
 /// Memory lent to a window, zeroed.
@@ -287,13 +335,14 @@ impl NextStart {
 
 /// A window [t0, t0 + T) that collects events by segment.
 ///
-/// Windows are half-open, consecutive and aligned to the first event. A window closes
+/// Windows are half-open, consecutive and aligned to the first event, or to [`WindowConfig::origin_us`]. A window
+/// closes
 ///
 /// * when an event at or after t0 + T comes: duration T, and the next window starts on the grid
 ///   t0 + i T at or before that event;
 /// * early, when an event comes and the buffer is full: the duration is the time up to that
 ///   event, and at least one microsecond beyond the latest event held, so that u < 1 for all of
-///   them; the next window starts at that event;
+///   them; the next window starts at that event, and with an origin ends where the grid's window does;
 /// * when an event before t0 comes: duration T, and the next window starts at that event and begins
 ///   a new *run*, so that no event is too late ([`crate::reorder`] keeps small disorder from it);
 /// * on [`Window::flush`]: duration T; the next window is aligned to the next event.
@@ -313,6 +362,8 @@ pub struct Window<'b> {
     latest: Latest,
     /// Start of the open window, or of the next where none is open; None before the first event.
     start_us: Option<u64>,
+    /// Time from there to the window's end.
+    duration_us: u32,
     /// A run begins with the open window, or with the next where none is open.
     begins_run: bool,
     closed: Option<Closed>,
@@ -362,6 +413,7 @@ impl<'b> Window<'b> {
             len: 0,
             latest: Latest::NONE,
             start_us: None,
+            duration_us: config.window_us,
             begins_run: false,
             closed: None,
             counts: Counts::NONE,
@@ -377,7 +429,7 @@ impl<'b> Window<'b> {
             && self.config.sensor.contains(event.x, event.y)
             && let Some(start_us) = self.start_us
             && let Some(offset_us) = event.t_us.checked_sub(start_us)
-            && offset_us < u64::from(self.config.window_us)
+            && offset_us < u64::from(self.duration_us)
             && (self.len as usize) < self.slots.len()
         {
             self.store(event, offset_us as u32);
@@ -397,28 +449,31 @@ impl<'b> Window<'b> {
             self.count_dropped(1);
             return Push::Outside;
         }
-        let start_us = *self.start_us.get_or_insert(event.t_us);
+        let start_us = match self.start_us {
+            Some(start_us) => start_us,
+            None => self.start(self.config.start_us(event.t_us)),
+        };
         let since_start = match event.t_us.checked_sub(start_us) {
             Some(since_start) => since_start,
-            None if self.len > 0 => {
-                self.fall_back(event.t_us);
-                return Push::Closed;
-            }
             None => {
                 self.fall_back(event.t_us);
-                0
+                if self.len > 0 {
+                    return Push::Closed;
+                }
+                event.t_us - self.start_us.unwrap_or(event.t_us)
             }
         };
-        let window_us = u64::from(self.config.window_us);
         let mut offset_us = since_start;
-        if since_start >= window_us {
+        if since_start >= u64::from(self.duration_us) {
             if self.len > 0 {
                 self.advance();
                 return Push::Closed;
             }
-            // Empty windows are skipped: the open one moves along the grid.
-            offset_us = since_start.checked_rem(window_us).unwrap_or(0);
-            self.start_us = Some(event.t_us - offset_us);
+            self.skip_to(event.t_us);
+            if self.closed.is_some() {
+                return Push::Closed;
+            }
+            offset_us = event.t_us - self.start_us.unwrap_or(event.t_us);
         }
         let offset_us = offset_us as u32;
         if self.len as usize >= self.slots.len() {
@@ -492,8 +547,7 @@ impl<'b> Window<'b> {
             return 0;
         };
         // The last windows end with the last microsecond there is.
-        let window_us =
-            u64::from(self.config.window_us).min((u64::MAX - start_us).saturating_add(1));
+        let window_us = u64::from(self.duration_us).min((u64::MAX - start_us).saturating_add(1));
         let since_start = time_us.wrapping_sub(start_us) as i64;
         let to_end = (window_us as i64).saturating_sub(since_start);
         if since_start <= -i64::from(SPAN_US) || to_end <= 0 {
@@ -572,7 +626,7 @@ impl<'b> Window<'b> {
         let (Some(start_us), None) = (self.start_us, self.closed) else {
             return 0;
         };
-        let window_us = u64::from(self.config.window_us);
+        let window_us = u64::from(self.duration_us);
         let free = self.slots.len().saturating_sub(self.len as usize);
         let mut stored = 0;
         for event in events.iter().take(free) {
@@ -597,12 +651,27 @@ impl<'b> Window<'b> {
             truncated,
             begins_run: self.begins_run,
         });
-        (self.start_us, self.begins_run) = (next.us, next.begins_run);
+        self.follow_on(next);
     }
 
-    /// Begins a new run at `start_us`, after the events that the window holds.
-    pub(crate) fn fall_back(&mut self, start_us: u64) {
-        self.begin_run(Some(start_us));
+    /// Opens at `start_us`, which is returned.
+    const fn start(&mut self, start_us: u64) -> u64 {
+        self.start_us = Some(start_us);
+        self.duration_us = self.config.duration_us(start_us);
+        start_us
+    }
+
+    const fn follow_on(&mut self, next: NextStart) {
+        self.begins_run = next.begins_run;
+        match next.us {
+            Some(start_us) => _ = self.start(start_us),
+            None => self.start_us = None,
+        }
+    }
+
+    /// Begins a new run with an event at `t_us`, after the events that the window holds.
+    pub(crate) fn fall_back(&mut self, t_us: u64) {
+        self.begin_run(Some(self.config.start_us(t_us)));
     }
 
     /// Begins a new run with the next event, after the events that the window holds.
@@ -614,52 +683,83 @@ impl<'b> Window<'b> {
         if self.closed.is_some() {
             return;
         }
+        let next = NextStart {
+            us,
+            begins_run: true,
+        };
         if self.len > 0 {
-            let begins_run = true;
-            self.close(self.config.window_us, false, NextStart { us, begins_run });
+            self.close(self.duration_us, false, next);
         } else {
-            (self.start_us, self.begins_run) = (us, true);
+            self.follow_on(next);
         }
     }
 
     /// Closes the open window, whose time has run: the next one goes on along the grid.
     pub(crate) fn advance(&mut self) {
         if let (Some(start_us), None) = (self.start_us, self.closed) {
-            let next_us = start_us.saturating_add(u64::from(self.config.window_us));
-            self.close(self.config.window_us, false, NextStart::at(next_us));
+            let next_us = start_us.saturating_add(u64::from(self.duration_us));
+            self.close(self.duration_us, false, NextStart::at(next_us));
         }
     }
 
     /// Moves an empty open window along the grid to where it holds `t_us`, which is not before it; one
-    /// that has no start starts there.
+    /// that has no start starts there. Where windows without events are wanted, it is closed instead.
     pub(crate) fn skip_to(&mut self, t_us: u64) {
         if self.len > 0 || self.closed.is_some() {
             return;
         }
-        let start_us = self.start_us.unwrap_or(t_us);
-        if let Some(since_start) = t_us.checked_sub(start_us) {
-            let offset_us = since_start.checked_rem(u64::from(self.config.window_us));
-            self.start_us = Some(t_us - offset_us.unwrap_or(0));
+        let Some(start_us) = self.start_us else {
+            self.start(self.config.start_us(t_us));
+            return;
+        };
+        let Some(since_start) = t_us.checked_sub(start_us) else {
+            return;
+        };
+        if since_start < u64::from(self.duration_us) {
+            return;
         }
+        let Some(window_us) = NonZeroU64::new(self.config.window_us.into()) else {
+            return;
+        };
+        if self.config.every_window && since_start / window_us < EMPTY_WINDOWS_MAX {
+            self.advance();
+            return;
+        }
+        let start_us = match self.config.origin_us {
+            Some(_) => self.config.start_us(t_us),
+            None => t_us - since_start % window_us,
+        };
+        self.start(start_us);
     }
 
     /// Closes the window where it holds events or counts; the stream starts anew after it.
     pub fn flush(&mut self) {
         if self.closed.is_none() && (self.len > 0 || self.counts.any()) {
-            self.close(self.config.window_us, false, NextStart::ANY);
+            self.close(self.duration_us, false, NextStart::ANY);
         }
     }
 
-    /// Closes the window where it holds events and its time has run at `now_us`, before which no
-    /// event will come any more: a live sensor that sees nothing does not hold its last events back.
-    /// The next window goes on along the grid.
+    /// Closes the window where it holds events, or where those without are wanted, and its time has run at
+    /// `now_us`, before which no event will come any more: a live sensor that sees nothing does not hold its
+    /// last events back. The next window goes on along the grid.
     pub fn pass(&mut self, now_us: u64) {
-        if let Some(start_us) = self.start_us
-            && self.closed.is_none()
-            && self.len > 0
-            && now_us.saturating_sub(start_us) >= u64::from(self.config.window_us)
-        {
+        if self.closed.is_some() {
+            return;
+        }
+        let Some(start_us) = self.start_us else {
+            if self.config.every_window {
+                self.start(self.config.start_us(now_us));
+            }
+            return;
+        };
+        let since_start = now_us.saturating_sub(start_us);
+        if since_start < u64::from(self.duration_us) {
+            return;
+        }
+        if self.len > 0 {
             self.advance();
+        } else if self.config.every_window {
+            self.skip_to(now_us);
         }
     }
 
@@ -676,7 +776,7 @@ impl<'b> Window<'b> {
     /// [`Window::next_start`] says.
     pub const fn follow(&mut self, start: NextStart) {
         if self.len == 0 && self.closed.is_none() {
-            (self.start_us, self.begins_run) = (start.us, start.begins_run);
+            self.follow_on(start);
         }
     }
 
@@ -694,6 +794,12 @@ impl<'b> Window<'b> {
     #[must_use]
     pub const fn config(&self) -> WindowConfig {
         self.config
+    }
+
+    /// Time from the open window's start to its end: T, or less where it begins within the grid.
+    #[must_use]
+    pub const fn duration_us(&self) -> u32 {
+        self.duration_us
     }
 
     /// N_w so far.

@@ -57,7 +57,7 @@ fuzz_target!(|data: &[u8]| {
     // The least that is taken, and up to 60 kB more.
     let budget = 1_000_000_u32.div_ceil(window_us) * 147 + 1000 * (u32::from(*control) >> 2);
     let config = Config {
-        window: WindowConfig { sensor, window_us },
+        window: WindowConfig::new(sensor, window_us),
         thresholds: Thresholds::new(1 << 40, 1 << 43).expect("in order"),
         transform: Transform::from_code(*transform % 4),
         m: 1 + *m % 64,

@@ -16,13 +16,10 @@ use eecvs_nostd::{
 };
 use libfuzzer_sys::fuzz_target;
 
-const CONFIG: WindowConfig = WindowConfig {
-    sensor: Sensor {
+const CONFIG: WindowConfig = WindowConfig::new(Sensor {
         width: 70,
         height: 9,
-    },
-    window_us: 1000,
-};
+    }, 1000);
 
 #[derive(Default)]
 struct Side<'b> {

@@ -47,6 +47,8 @@ pub struct Conversion {
     pub sort: bool,
     /// What is appended to the input comes as well.
     pub follow: Option<Follow>,
+    /// The output's format, in place of that of its extension.
+    pub format: Option<&'static Format>,
 }
 
 /// Outcome of [`convert`].
@@ -132,7 +134,10 @@ pub fn convert(
     if let (Some(from), Some(to)) = (filter.from_us, filter.to_us) {
         anyhow::ensure!(from <= to, "--from-us {from} is after --to-us {to}");
     }
-    let (format, _) = formats::writable(output)?;
+    let format = match conversion.format {
+        Some(format) => format,
+        None => formats::writable(output)?.0,
+    };
     let reader = match &conversion.follow {
         Some(follow) => open_growing(input, reading, follow)?,
         None => formats::open(input, reading)?,
@@ -148,7 +153,7 @@ pub fn convert(
         "{}: input and output are the same file: give the output another name",
         input.display()
     );
-    let mut writer = formats::create(output, sensor)?;
+    let mut writer = formats::create_as(output, format, sensor)?;
     let reader: Box<dyn formats::EventReader> = if conversion.sort {
         Box::new(Sorted::new(reader, &mut |_| {})?)
     } else {

@@ -1,13 +1,13 @@
 //! Density and regime of every window of a recording or of a file of frames.
 
+use std::io::Read;
 use std::num::{NonZeroU32, NonZeroUsize};
-use std::path::Path;
 
 use anyhow::{Context, Result};
 use eecvs_nostd::{Density, Regime, Sensor, Thresholds};
 use serde::Serialize;
 
-use crate::formats::{self, Reading};
+use crate::formats::EventReader;
 use crate::frame_file::FrameReader;
 use crate::reference::window::{HOST_CAPACITY, Window, Windower};
 
@@ -81,13 +81,11 @@ impl DensitySeries {
 /// # Errors
 /// A recording that cannot be read.
 pub fn of_recording(
-    path: &Path,
-    reading: &Reading,
+    reader: &mut dyn EventReader,
     window_us: NonZeroU32,
     thresholds: Thresholds,
     each: &mut dyn FnMut(WindowDensity) -> Result<()>,
 ) -> Result<()> {
-    let mut reader = formats::open(path, reading)?;
     let mut series = DensitySeries::new(reader.sensor(), u64::from(window_us.get()), thresholds);
     let capacity: NonZeroUsize = HOST_CAPACITY;
     let mut windower = Windower::new(window_us, capacity);
@@ -105,22 +103,17 @@ pub fn of_recording(
     windower.flush().map_or(Ok(()), take)
 }
 
-/// Densities of the windows of a file of frames.
+/// Densities of the windows of frames, up to the end or the first frame of another sensor.
 ///
 /// # Errors
-/// A file that cannot be read.
+/// Frames that cannot be read.
 pub fn of_frames(
-    path: &Path,
+    reader: &mut FrameReader<impl Read>,
     thresholds: Thresholds,
     each: &mut dyn FnMut(WindowDensity) -> Result<()>,
 ) -> Result<()> {
-    let name = path.display();
-    let mut reader = FrameReader::open(path)?;
     let mut series = None;
-    while let Some(located) = reader
-        .next_frame()
-        .with_context(|| format!("{name}: cannot read"))?
-    {
+    while let Some(located) = reader.next_frame().context("cannot be read")? {
         let header = located.frame.header;
         if header.part > 0 || header.window_events == 0 {
             continue;
@@ -129,9 +122,6 @@ pub fn of_frames(
             DensitySeries::new(header.sensor, u64::from(header.duration_us), thresholds)
         });
         each(series.add(header.t0_us, header.duration_us, header.window_events))?;
-    }
-    if let Some(warning) = reader.report().warning() {
-        eprintln!("eecvs: {name}: {warning}");
     }
     Ok(())
 }

@@ -4,11 +4,14 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use anyhow::{Context, Result, ensure};
-use eecvs_nostd::frame::{CRC_BYTES, SYNC};
-use eecvs_nostd::{FRAME_BYTES_MAX, Frame, FrameError, Header, Order, Scan, Sequence, scan};
+use anyhow::Result;
+use eecvs_nostd::frame::CRC_BYTES;
+use eecvs_nostd::{
+    FRAME_BYTES_MAX, Frame, FrameError, Header, Order, Scan, Sensor, Sequence, scan,
+};
 use serde::Serialize;
 
+use crate::formats::piped::open_bytes;
 use crate::reconstruct::hybrid::Refused;
 
 /// Bytes asked of the source at a time.
@@ -40,6 +43,8 @@ pub struct LinkReport {
     pub frames_malformed: u64,
     /// Undamaged frames that go on from one that did not come, up to the next key frame.
     pub frames_dependent: u64,
+    /// Where the first frame of another sensor is, and that one's size: from there on nothing was used.
+    pub other_sensor: Option<(u64, String)>,
 }
 
 impl LinkReport {
@@ -51,6 +56,14 @@ impl LinkReport {
                 frames: self.frames,
                 ..Self::default()
             }
+    }
+
+    /// Whether anything is missing: not so where frames came twice, out of order, or were put together.
+    #[must_use]
+    pub const fn has_loss(&self) -> bool {
+        let missing =
+            self.damaged_bytes + self.frames_lost + self.frames_malformed + self.frames_dependent;
+        missing > 0 || self.other_sensor.is_some()
     }
 
     /// Counts a frame whose payload does not decode.
@@ -91,7 +104,14 @@ impl LinkReport {
                 self.restarts
             ));
         }
-        Some(format!("{}; everything else was used", met.join("; ")))
+        let Some((offset, sensor)) = &self.other_sensor else {
+            return Some(format!("{}; everything else was used", met.join("; ")));
+        };
+        met.push(format!(
+            "at byte {offset} frames of another sensor begin ({sensor}): everything before was used; `eecvs split` \
+             takes them apart"
+        ));
+        Some(met.join("; "))
     }
 }
 
@@ -102,6 +122,10 @@ pub struct Located<'r> {
     pub frame: Frame<'r>,
     /// Offset of its first byte.
     pub offset: u64,
+    /// All of its bytes.
+    pub bytes: &'r [u8],
+    /// [`LinkReport::restarts`], this frame's included.
+    pub restarts: u64,
 }
 
 /// The order of the frames of a stream: what is lost, came twice, or begins anew.
@@ -166,6 +190,20 @@ impl FrameOrder {
     }
 }
 
+/// Sensors whose frames' numbers are followed apart; more come of no camera.
+const SENSORS_MAX: usize = 256;
+
+/// The order of a sensor's frames.
+fn order_of(orders: &mut Vec<(Sensor, FrameOrder)>, sensor: Sensor) -> &mut FrameOrder {
+    let at = orders.iter().position(|(of, _)| *of == sensor);
+    let at = at.unwrap_or_else(|| {
+        orders.truncate(SENSORS_MAX - 1);
+        orders.push((sensor, FrameOrder::default()));
+        orders.len() - 1
+    });
+    &mut orders[at].1
+}
+
 /// Bytes of damaged frames that are checked and then searched for other frames: this many, and
 /// [`RESCANS`] times the bytes read. Only frames made to lie inside of each other reach it, whose
 /// checksums would cost the square of their length.
@@ -184,21 +222,21 @@ pub struct FrameReader<R> {
     /// Bytes of all damaged frames that were searched.
     rescanned: u64,
     ended: bool,
-    order: FrameOrder,
+    /// That of the first frame, where frames of another one end the stream.
+    sensor: Option<Sensor>,
+    takes_all_sensors: bool,
+    /// Of each sensor's frames.
+    orders: Vec<(Sensor, FrameOrder)>,
     report: LinkReport,
 }
 
 impl FrameReader<File> {
-    /// Opens a file of frames.
+    /// Opens a file or a pipe of frames, or stdin by the name `-`.
     ///
     /// # Errors
-    /// A file that cannot be opened, a directory.
+    /// A file that cannot be opened, a folder.
     pub fn open(path: &Path) -> Result<Self> {
-        let name = path.display();
-        let file = File::open(path).with_context(|| format!("{name}: cannot open"))?;
-        let directory = file.metadata().is_ok_and(|metadata| metadata.is_dir());
-        ensure!(!directory, "{name}: is a directory, not a file of frames");
-        Ok(Self::new(file))
+        open_bytes(path).map(Self::new)
     }
 }
 
@@ -213,8 +251,19 @@ impl<R: Read> FrameReader<R> {
             in_damage: false,
             rescanned: 0,
             ended: false,
-            order: FrameOrder::default(),
+            sensor: None,
+            takes_all_sensors: false,
+            orders: Vec::new(),
             report: LinkReport::default(),
+        }
+    }
+
+    /// Goes on where frames of another sensor come, whose numbers are others.
+    #[must_use]
+    pub fn of_all_sensors(self) -> Self {
+        Self {
+            takes_all_sensors: true,
+            ..self
         }
     }
 
@@ -235,12 +284,16 @@ impl<R: Read> FrameReader<R> {
         self.report.count_refused(refused);
     }
 
-    /// The next frame, or `None` at the end of the source.
+    /// The next frame, or `None` at the end of the source and where frames of another sensor begin: events of
+    /// two sensors are not mixed.
     ///
     /// # Errors
     /// Only I/O: damage is reported by [`FrameReader::report`].
     pub fn next_frame(&mut self) -> std::io::Result<Option<Located<'_>>> {
         let (header, payload_start, bytes) = loop {
+            if self.report.other_sensor.is_some() {
+                return Ok(None);
+            }
             match scan(&self.buffer[self.start..]) {
                 Scan::Frame(frame) => {
                     let bytes = frame.bytes;
@@ -250,7 +303,15 @@ impl<R: Read> FrameReader<R> {
                     let crc_start = payload_start + frame.payload.len();
                     crc.copy_from_slice(&self.buffer[crc_start..crc_start + CRC_BYTES]);
                     self.in_damage = false;
-                    if self.order.take(&header, crc, &mut self.report) {
+                    let Sensor { width, height } = header.sensor;
+                    let sensor = *self.sensor.get_or_insert(header.sensor);
+                    if header.sensor != sensor && !self.takes_all_sensors {
+                        let other = (self.offset, format!("{width}x{height}"));
+                        self.report.other_sensor = Some(other);
+                        continue;
+                    }
+                    let order = order_of(&mut self.orders, header.sensor);
+                    if order.take(&header, crc, &mut self.report) {
                         break (header, payload_start, bytes);
                     }
                     self.advance(bytes);
@@ -283,6 +344,7 @@ impl<R: Read> FrameReader<R> {
         self.advance(bytes);
         let payload_end = self.start - CRC_BYTES;
         let payload = &self.buffer[payload_start..payload_end];
+        let frame_bytes = &self.buffer[self.start - bytes..self.start];
         Ok(Some(Located {
             frame: Frame {
                 header,
@@ -290,6 +352,8 @@ impl<R: Read> FrameReader<R> {
                 bytes,
             },
             offset,
+            bytes: frame_bytes,
+            restarts: self.report.restarts,
         }))
     }
 
@@ -329,19 +393,4 @@ impl<R: Read> FrameReader<R> {
         self.ended = read? == 0;
         Ok(())
     }
-}
-
-/// Whether a file begins as a file of frames does.
-///
-/// # Errors
-/// A file that cannot be opened or read.
-pub fn is_frame_file(path: &Path) -> Result<bool> {
-    let name = path.display();
-    let mut start = Vec::new();
-    File::open(path)
-        .with_context(|| format!("{name}: cannot open"))?
-        .take(SYNC.len() as u64)
-        .read_to_end(&mut start)
-        .with_context(|| format!("{name}: cannot read"))?;
-    Ok(start == SYNC)
 }

@@ -8,6 +8,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use twox_hash::XxHash3_128;
 
+use crate::content::Rereadable;
 use crate::formats::intact::Intact;
 use crate::formats::{self, EventReader, Reading};
 
@@ -83,7 +84,8 @@ pub fn info(
     reading: &Reading,
     progress: &mut dyn FnMut(u64),
 ) -> anyhow::Result<RecordingInfo> {
-    let mut reader = Intact::new(formats::open(path, reading)?);
+    let recording = Rereadable::of(path)?;
+    let mut reader = Intact::new(recording.open(reading)?);
     // Later passes need not search for the size again.
     let sensor = reader.sensor();
     let mut info = RecordingInfo {
@@ -119,7 +121,7 @@ pub fn info(
                 size: Some(sensor),
                 ..reading.clone()
             };
-            reader = Intact::new(formats::open(path, reading)?);
+            reader = Intact::new(recording.open(reading)?);
         }
         loop {
             events.clear();

@@ -25,10 +25,7 @@ pub fn config(
         transform,
         m,
         ..Config::new(
-            WindowConfig {
-                sensor: source.sensor,
-                window_us: WINDOW_US,
-            },
+            WindowConfig::new(source.sensor, WINDOW_US),
             thresholds,
             mode,
         )

@@ -44,10 +44,7 @@ fn config() -> Config {
     Config {
         m: 8,
         ..Config::new(
-            WindowConfig {
-                sensor: SCENE.sensor,
-                window_us: 16_384,
-            },
+            WindowConfig::new(SCENE.sensor, 16_384),
             Thresholds::new(2_000_000_000_000, 20_000_000_000_000).expect("in order"),
             Mode::Transform,
         )

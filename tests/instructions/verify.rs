@@ -58,10 +58,7 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
         transform: Some(transform.context("an unknown transform")?),
         m: run.m.max(8),
         ..Config::new(
-            WindowConfig {
-                sensor,
-                window_us: *window_us,
-            },
+            WindowConfig::new(sensor, *window_us),
             Thresholds::new(0, 0).context("zero is a threshold")?,
             mode,
         )

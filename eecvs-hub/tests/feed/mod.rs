@@ -69,10 +69,7 @@ impl Way {
 
 pub fn scene(preset: Preset, way: Way) -> Scene {
     let source = Source::scene(preset, 7, 120_000).unwrap();
-    let window = WindowConfig {
-        sensor: source.sensor,
-        window_us: way.window_us,
-    };
+    let window = WindowConfig::new(source.sensor, way.window_us);
     let thresholds = Thresholds::new(Density::PICO / 2, 4 * Density::PICO).unwrap();
     let mut config = Config::new(window, thresholds, way.mode);
     config.key_windows = 4;

@@ -182,10 +182,7 @@ pub fn frames(duration_us: u64, coder: Coder) -> Vec<Vec<u8>> {
         coder,
         fidelity: Fidelity::Lossless,
     });
-    let window = WindowConfig {
-        sensor: SENSOR,
-        window_us: 2000,
-    };
+    let window = WindowConfig::new(SENSOR, 2000);
     let thresholds = Thresholds::new(Density::PICO, 2 * Density::PICO).unwrap();
     let config = Config::new(window, thresholds, mode);
     let mut frames = Pieces::default();

@@ -134,10 +134,10 @@ impl Setup {
             height,
         };
         Ok(Config {
-            window: WindowConfig {
-                sensor: Sensor::new(self.width, self.height).ok_or(Refusal::Sensor)?,
-                window_us: self.window_us,
-            },
+            window: WindowConfig::new(
+                Sensor::new(self.width, self.height).ok_or(Refusal::Sensor)?,
+                self.window_us,
+            ),
             thresholds: Thresholds::new(self.tau_low_pico, self.tau_high_pico)
                 .ok_or(Refusal::Thresholds)?,
             transform: match self.transform {

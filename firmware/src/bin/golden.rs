@@ -504,10 +504,7 @@ fn config(golden: &Golden) -> Option<Config> {
         _ => hybrid(Coder::Dense),
     };
     Some(Config {
-        window: WindowConfig {
-            sensor: Sensor::new(golden.width, golden.height)?,
-            window_us: 32_768,
-        },
+        window: WindowConfig::new(Sensor::new(golden.width, golden.height)?, 32_768),
         thresholds: Thresholds::new(0, 0)?,
         transform: Some(
             Transform::ALL

@@ -57,10 +57,7 @@ pub const fn config(transform: Transform, m: u8) -> Config {
         transform: Some(transform),
         m,
         ..Config::new(
-            WindowConfig {
-                sensor: SENSOR,
-                window_us: WINDOW_US,
-            },
+            WindowConfig::new(SENSOR, WINDOW_US),
             // Unused, since the transform is given.
             Thresholds::new(0, 0).unwrap(),
             Mode::Transform,

@@ -157,10 +157,7 @@ fn run(
         transform: Some(Transform::Dct),
         m: PARAMETER_M,
         ..Config::new(
-            WindowConfig {
-                sensor,
-                window_us: WINDOW_US,
-            },
+            WindowConfig::new(sensor, WINDOW_US),
             THRESHOLDS,
             Mode::Transform,
         )

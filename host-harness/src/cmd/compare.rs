@@ -1,14 +1,16 @@
 //! `eecvs compare`: distortion between two recordings.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 
 use super::options::ReadingOptions;
 use super::output::{print, print_json};
-use crate::formats::{self, Reading};
+use crate::content::Rereadable;
+use crate::formats::Reading;
 use crate::metrics::{self, Comparison, clock};
+use crate::output::is_dash;
 use crate::progress::Progress;
 
 /// Compare recording B with recording A: frames, event times and events
@@ -42,17 +44,22 @@ impl Compare {
     pub fn run(self) -> Result<()> {
         let reading = self.reading.reading();
         // To later times, as there are none before 0.
-        let open = |path: &Path, later_us: i64| {
+        ensure!(
+            !(is_dash(&self.a) && is_dash(&self.b)),
+            "stdin is one recording: name a file for the other"
+        );
+        let (a, b) = (Rereadable::of(&self.a)?, Rereadable::of(&self.b)?);
+        let open = |recording: &Rereadable, later_us: i64| {
             let time_offset_us = reading.time_offset_us.saturating_add(later_us.max(0));
             let reading = Reading {
                 time_offset_us,
                 ..reading.clone()
             };
-            formats::open(path, reading)
+            recording.open(reading)
         };
-        let context = || format!("{} against {}", self.a.display(), self.b.display());
-        let offset_us = clock::offset_us(&mut *open(&self.a, 0)?, &mut *open(&self.b, 0)?)
-            .with_context(context)?;
+        let context = || format!("{} against {}", a.name(), b.name());
+        let offset_us =
+            clock::offset_us(&mut *open(&a, 0)?, &mut *open(&b, 0)?).with_context(context)?;
         let ahead_us = if self.align {
             offset_us.unwrap_or(0)
         } else {
@@ -60,8 +67,8 @@ impl Compare {
         };
         let progress = Progress::new("events");
         let comparison = metrics::compare(
-            &|| open(&self.a, ahead_us),
-            &|| open(&self.b, ahead_us.saturating_neg()),
+            &|| open(&a, ahead_us),
+            &|| open(&b, ahead_us.saturating_neg()),
             self.window_us,
             &mut |events| progress.set(events),
         );
@@ -70,8 +77,8 @@ impl Compare {
         match offset_us {
             Some(offset_us) if offset_us != 0 && !self.align => eprintln!(
                 "eecvs: the clock of {} is {offset_us} us ahead of that of {}: --align compares without this constant",
-                self.b.display(),
-                self.a.display()
+                b.name(),
+                a.name()
             ),
             None if self.align => {
                 eprintln!("eecvs: no constant between the clocks was found: compared as they are");

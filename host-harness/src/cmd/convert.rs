@@ -6,9 +6,9 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use clap::error::ErrorKind;
 
-use super::options::{FollowOptions, OutputOptions, ReadingOptions, tell_damage};
+use super::options::{FollowOptions, FormatOptions, OutputOptions, ReadingOptions, tell_damage};
 use super::order::SortOptions;
-use super::output::{print, print_json, rows};
+use super::output::{Place, rows};
 use crate::convert::{Conversion, Converted, Crop, Filter, convert};
 use crate::output::Kind;
 
@@ -47,6 +47,9 @@ pub struct Convert {
 
     #[command(flatten)]
     reading: ReadingOptions,
+
+    #[command(flatten)]
+    format: FormatOptions,
 
     #[command(flatten)]
     overwrite: OutputOptions,
@@ -100,15 +103,17 @@ impl Convert {
             allow_loss: self.allow_loss,
             sort: self.sort.is_asked(),
             follow: self.follow.follow()?,
+            format: Some(self.format.of(&self.output)?),
         };
         self.overwrite
             .check(&self.output, Kind::Recording, [self.input.as_path()])?;
         let reading = self.reading.reading();
         let converted = convert(&self.input, &self.output, &reading, &conversion)?;
+        let place = Place::beside([self.output.as_path()]);
         if self.json {
-            print_json(&converted)?;
+            place.print_json(&converted)?;
         } else {
-            print(&table(&converted))?;
+            place.print(&table(&converted))?;
         }
         let followed = conversion.follow.is_some();
         tell_damage(converted.damage.as_deref(), Some(&self.output), followed)

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use anyhow::{Result, bail, ensure};
 use clap::Args;
 
-use super::options::OutputOptions;
-use super::output::{print, print_json, rows};
+use super::options::{FormatOptions, OutputOptions, tell_link};
+use super::output::{Place, rows};
 use super::volume::VolumeOptions;
 use crate::decode::{DecodeSummary, WindowReader, decode};
-use crate::formats;
+use crate::formats::{self, piped::name_of};
 use crate::frame_file::FrameReader;
 use crate::output::{Kind, is_same};
 use crate::progress::Progress;
@@ -50,6 +50,9 @@ pub struct Decode {
     form: VolumeOptions,
 
     #[command(flatten)]
+    format: FormatOptions,
+
+    #[command(flatten)]
     overwrite: OutputOptions,
 
     /// Print one JSON object instead of the table
@@ -62,9 +65,9 @@ impl Decode {
     ///
     /// # Errors
     /// A file that cannot be read or holds no frame, a window that is not there, an output that
-    /// cannot be written.
+    /// cannot be written. Where frames are damaged or missing the outputs have everything else.
     pub fn run(self) -> Result<()> {
-        let name = self.input.display();
+        let name = name_of(&self.input);
         let both = self.output.as_ref().zip(self.volume.as_ref());
         ensure!(
             both.is_none_or(|(output, volume)| output != volume && !is_same(output, volume)),
@@ -80,6 +83,10 @@ impl Decode {
                 self.overwrite.check(output, kind, [self.input.as_path()])?;
             }
         }
+        let format = match &self.output {
+            Some(output) => Some(self.format.of(output)?),
+            None => None,
+        };
         let mut volumes = match &self.volume {
             Some(path) => Some(VolumeFile::new(path, self.all_windows)?),
             None => {
@@ -93,8 +100,8 @@ impl Decode {
         let summary = decode(
             &mut windows,
             self.events,
-            &mut |sensor| match &self.output {
-                Some(path) => formats::create(path, sensor).map(Some),
+            &mut |sensor| match self.output.as_ref().zip(format) {
+                Some((path, format)) => formats::create_as(path, format, sensor).map(Some),
                 None => Ok(None),
             },
             &mut |index, window| match &mut volumes {
@@ -111,9 +118,6 @@ impl Decode {
         if summary.link.frames == 0 {
             bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
         }
-        if let Some(warning) = summary.link.warning() {
-            eprintln!("eecvs: {name}: {warning}");
-        }
         if let Some(volumes) = volumes {
             ensure!(
                 !volumes.is_empty(),
@@ -123,11 +127,14 @@ impl Decode {
             );
             volumes.finish()?;
         }
+        let outputs = [&self.output, &self.volume].into_iter().flatten();
+        let place = Place::beside(outputs.map(PathBuf::as_path));
         if self.json {
-            print_json(&summary)
+            place.print_json(&summary)?;
         } else {
-            print(&table(&summary))
+            place.print(&table(&summary))?;
         }
+        tell_link(&name, &summary.link)
     }
 }
 

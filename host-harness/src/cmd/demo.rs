@@ -17,7 +17,7 @@ use crate::calibrate::Calibration;
 use crate::decode::{WindowReader, decode};
 use crate::density_series::{WindowDensity, of_recording};
 use crate::encode::{Limits, encode};
-use crate::formats::{self, EventReader, Reading};
+use crate::formats::{self, EventReader};
 use crate::frame_file::FrameReader;
 use crate::metrics;
 use crate::output::{self, OutputFile};
@@ -215,10 +215,7 @@ impl Run {
             transform,
             m: M,
             ..Config::new(
-                WindowConfig {
-                    sensor: self.sensor,
-                    window_us: WINDOW_US.get(),
-                },
+                WindowConfig::new(self.sensor, WINDOW_US.get()),
                 self.thresholds,
                 mode,
             )
@@ -263,8 +260,7 @@ impl Run {
     fn pictures(&self) -> Result<Vec<(String, String)>> {
         let mut windows = Vec::new();
         of_recording(
-            &self.scene,
-            &Reading::default(),
+            formats::open(&self.scene, None)?.as_mut(),
             WINDOW_US,
             self.thresholds,
             &mut |window| {

@@ -7,8 +7,8 @@ use anyhow::Context;
 use clap::ValueEnum;
 use eecvs_nostd::{Event, Polarity, Sensor};
 
-use super::options::OutputOptions;
-use super::output::print;
+use super::options::{FormatOptions, OutputOptions};
+use super::output::{Place, print};
 use crate::formats::{self, EventReader, EventWriter};
 use crate::output::Kind;
 use crate::progress::Progress;
@@ -28,6 +28,9 @@ pub struct Emulate {
     /// Recording to write; the extension names the format
     #[arg(short, long, value_name = "FILE", required_unless_present = "list")]
     output: Option<PathBuf>,
+
+    #[command(flatten)]
+    format: FormatOptions,
 
     /// The same seed gives the same events on every machine
     #[arg(long, default_value_t = 1)]
@@ -81,6 +84,7 @@ impl Emulate {
             )
         })?;
         self.overwrite.check(output, Kind::Recording, [])?;
+        let format = self.format.of(output)?;
         let mut config = SceneConfig::new(preset, self.seed);
         if let Some((width, height)) = self.width.zip(self.height) {
             config.sensor = Sensor { width, height };
@@ -89,12 +93,13 @@ impl Emulate {
         config.start_us = self.start_us;
 
         let mut emulator = scene::emulate(config)?;
-        let mut writer = formats::create(output, config.sensor)?;
+        let mut writer = formats::create_as(output, format, config.sensor)?;
         let begun = Instant::now();
         let written = write_scene(&mut emulator, writer.as_mut())
             .and_then(|written| writer.finish().map(|()| written))?;
         let seconds = begun.elapsed().as_secs_f64();
-        print(&format!("{}\n", self.report(&config, written, seconds)))
+        let place = Place::beside([output.as_path()]);
+        place.print(&format!("{}\n", self.report(&config, written, seconds)))
     }
 
     /// The result as a table or as JSON.

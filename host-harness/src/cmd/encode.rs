@@ -15,11 +15,12 @@ use serde::Serialize;
 
 use super::options::{FollowOptions, OutputOptions, ReadingOptions, ThresholdOptions, tell_damage};
 use super::order::{SortOptions, tell_disorder};
-use super::output::{print, print_json, rows};
+use super::output::{Place, rows};
 use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
 use crate::formats::growing::open_growing;
 use crate::formats::intact::Intact;
+use crate::formats::piped::is_stream;
 use crate::formats::{self, EventReader};
 use crate::hot_pixels;
 use crate::output::{Kind, OutputFile};
@@ -60,7 +61,8 @@ pub struct Encode {
     #[command(flatten)]
     reading: ReadingOptions,
 
-    /// Threads that encode; the frames do not depend on it [default: as many as there are cores]
+    /// Threads that encode; the frames do not depend on it [default: as many as there
+    /// are cores; 1 where IN is a pipe, whose windows then do not wait for those behind them]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
 
@@ -151,6 +153,15 @@ pub struct CodecOptions {
     /// Duration of a window in microseconds
     #[arg(long, value_name = "T", default_value = "32768")]
     window_us: NonZeroU32,
+
+    /// Begin windows at T + i window-us microseconds, for whole i, so that those of several sensors match
+    /// [default: with the first event]
+    #[arg(long, value_name = "T")]
+    origin_us: Option<u64>,
+
+    /// Send a frame for a window without events too: some 40 bytes that say that the sensor is there
+    #[arg(long)]
+    every_window: bool,
 
     #[command(flatten)]
     thresholds: ThresholdOptions,
@@ -267,7 +278,7 @@ impl CodecOptions {
     /// Configuration of the encoder for a sensor.
     ///
     /// # Errors
-    /// A thresholds file that cannot be read.
+    /// A thresholds file that cannot be read, a region outside of the sensor, flags that exclude each other.
     pub fn config(&self, sensor: Sensor) -> Result<Config> {
         let fidelity = match (self.time_tolerance_us, self.bins) {
             (None | Some(0), None) => Fidelity::Lossless,
@@ -301,10 +312,27 @@ impl CodecOptions {
                 }
             }
         };
+        if let Some(Region {
+            x,
+            y,
+            width,
+            height,
+        }) = self.region
+        {
+            let is_inside =
+                |from: u16, side: u16, of: u16| u32::from(from) + u32::from(side) <= u32::from(of);
+            ensure!(
+                is_inside(x, width, sensor.width) && is_inside(y, height, sensor.height),
+                "--region {x},{y},{width},{height}: not inside of the sensor, which has {} columns and {} rows",
+                sensor.width,
+                sensor.height
+            );
+        }
         Ok(Config {
             window: WindowConfig {
-                sensor,
-                window_us: self.window_us.get(),
+                origin_us: self.origin_us,
+                every_window: self.every_window,
+                ..WindowConfig::new(sensor, self.window_us.get())
             },
             thresholds: self.thresholds.load()?,
             transform: match self.transform {
@@ -346,6 +374,11 @@ impl CodecOptions {
         ensure!(
             !config.keep_order,
             "--keep-order is for eecvs encode: the image has no memory for it"
+        );
+        ensure!(
+            config.window.origin_us.is_none() && !config.window.every_window,
+            "--origin-us and --every-window are for eecvs encode, eecvs-usb capture and forward: the image's windows \
+             begin with the first event"
         );
         Ok(config)
     }
@@ -426,9 +459,7 @@ impl Encode {
             &mut reader,
             codec,
             self.limits.limits(),
-            self.threads
-                .and_then(|threads| NonZeroUsize::new(threads.into()))
-                .unwrap_or_else(all_cores),
+            self.threads(),
             &mut out,
             &mut |events| {
                 progress.set(events);
@@ -449,13 +480,30 @@ impl Encode {
             );
         }
         let report = Report::new(&self.input, &self.output, &summary);
+        let place = Place::beside([self.output.as_path()]);
         if self.json {
-            print_json(&report)?;
+            place.print_json(&report)?;
         } else {
-            print(&report.table())?;
+            place.print(&report.table())?;
         }
         tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())?;
         tell_disorder(&self.input, &summary, self.allow_loss)
+    }
+}
+
+impl Encode {
+    /// As many as were asked for. Of a pipe one, so that no window waits for those behind it.
+    fn threads(&self) -> NonZeroUsize {
+        let asked = self
+            .threads
+            .and_then(|threads| NonZeroUsize::new(threads.into()));
+        asked.unwrap_or_else(|| {
+            if is_stream(&self.input) {
+                NonZeroUsize::MIN
+            } else {
+                all_cores()
+            }
+        })
     }
 }
 

@@ -8,6 +8,8 @@ use clap::Args;
 use eecvs_nostd::{Fidelity, Header, Mode};
 use serde::Serialize;
 
+use super::options::tell_link;
+use crate::formats::piped::name_of;
 use crate::frame_file::{FrameReader, Located};
 use crate::reconstruct::same_window;
 
@@ -66,13 +68,13 @@ struct Row {
 }
 
 impl Inspect {
-    /// Prints the rows; what is damaged or lost is said on stderr.
+    /// Prints the rows, of frames of several sensors too.
     ///
     /// # Errors
-    /// A file that cannot be read or holds no frame.
+    /// A file that cannot be read or holds no frame; damaged or missing frames, after all the others.
     pub fn run(self) -> Result<()> {
-        let name = self.input.display();
-        let mut reader = FrameReader::open(&self.input)?;
+        let name = name_of(&self.input);
+        let mut reader = FrameReader::open(&self.input)?.of_all_sensors();
         let mut out = stdout().lock();
         let mut index = 0;
         let mut windows = 0;
@@ -107,10 +109,7 @@ impl Inspect {
             writeln!(out, "\n]").context("stdout")?;
         }
         out.flush().context("stdout")?;
-        if let Some(warning) = reader.report().warning() {
-            eprintln!("eecvs: {name}: {warning}");
-        }
-        Ok(())
+        tell_link(&name, reader.report())
     }
 }
 

@@ -9,7 +9,10 @@ use eecvs_nostd::{Config, Event, Sensor};
 
 use super::encode::CodecOptions;
 use super::options::{OutputOptions, ReadingOptions};
-use crate::formats::{self, EventReader, Skipped};
+use super::output::Place;
+use crate::content::Rereadable;
+use crate::formats::piped::name_of;
+use crate::formats::{EventReader, Skipped};
 use crate::mcu::{self, Connection, Job, Outcome};
 use crate::output::{Kind, OutputFile};
 use crate::progress::Progress;
@@ -96,6 +99,7 @@ impl EventReader for First {
 /// A recording that was looked at.
 pub struct Prepared<'o> {
     options: &'o JobOptions,
+    recording: Option<Rereadable>,
     config: Config,
     hot: Vec<(u16, u16)>,
 }
@@ -111,12 +115,17 @@ impl JobOptions {
             let inputs = input.chain(self.codec.files());
             self.overwrite.check(output, Kind::Frames, inputs)?;
         }
-        let reader = self.open()?;
+        let recording = match &self.input {
+            Some(input) => Some(Rereadable::of(input)?),
+            None => None,
+        };
+        let reader = self.open(recording.as_ref())?;
         let sensor = reader.sensor();
         let config = self.codec.config_of_image(sensor)?;
         let (_, config) = self.codec.look(reader, config);
         Ok(Prepared {
             options: self,
+            recording,
             config,
             hot: self.codec.hot_pixels(sensor)?,
         })
@@ -127,13 +136,19 @@ impl JobOptions {
     pub fn name(&self) -> String {
         self.input.as_ref().map_or_else(
             || format!("{}, seed {}", SCENE.preset.name(), SCENE.seed),
-            |input| input.display().to_string(),
+            |input| name_of(input),
         )
     }
 
-    fn open(&self) -> Result<Box<dyn EventReader>> {
-        let reader = match &self.input {
-            Some(input) => formats::open(input, self.reading.reading())?,
+    /// Where to say what was done.
+    #[must_use]
+    pub fn place(&self) -> Place {
+        Place::beside(self.output.iter().map(PathBuf::as_path))
+    }
+
+    fn open(&self, recording: Option<&Rereadable>) -> Result<Box<dyn EventReader>> {
+        let reader = match recording {
+            Some(recording) => recording.open(self.reading.reading())?,
             None => Box::new(emulate(SCENE)?),
         };
         Ok(match self.events {
@@ -152,7 +167,7 @@ impl Prepared<'_> {
     /// [`Outcome::verdict`].
     pub fn run(&self, connection: &mut Connection) -> Result<Outcome> {
         let options = self.options;
-        let open = || options.open();
+        let open = || options.open(self.recording.as_ref());
         let job = Job {
             open: &open,
             config: self.config,

@@ -9,7 +9,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::job::{self, JobOptions, Prepared};
-use super::output::{print, print_json, rows};
+use super::output::rows;
 use crate::mcu::image::{self, ImageSizes};
 use crate::mcu::qemu::{Machine, Qemu};
 use crate::mcu::{Connection, Outcome, PATIENCE};
@@ -88,9 +88,9 @@ impl Mcu {
             stack_bytes: outcome.status.stack_bytes,
         };
         if self.job.json {
-            print_json(&report)?;
+            self.job.place().print_json(&report)?;
         } else {
-            print(&table(&report, &outcome))?;
+            self.job.place().print(&table(&report, &outcome))?;
         }
         outcome.verdict().with_context(|| self.job.name())
     }

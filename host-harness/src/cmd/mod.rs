@@ -19,6 +19,7 @@ pub mod options;
 pub mod order;
 pub mod output;
 pub mod report;
+pub mod split;
 mod stop;
 pub mod variable;
 pub mod view;

@@ -4,15 +4,17 @@ use std::iter;
 use std::num::NonZeroU32;
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use eecvs_nostd::{Density, Regime, Thresholds};
 use serde_json::json;
 
-use super::options::{OutputOptions, ReadingOptions, ThresholdOptions};
-use super::output::{print, print_json};
+use super::options::{OutputOptions, ReadingOptions, ThresholdOptions, tell_link};
+use super::output::{Place, print};
+use crate::content::Content;
 use crate::density_series::{WindowDensity, of_frames, of_recording};
-use crate::frame_file::is_frame_file;
+use crate::formats::piped::{is_stream, name_of};
+use crate::frame_file::{FrameReader, LinkReport};
 use crate::output::{self, Kind};
 use crate::report::chart;
 
@@ -65,16 +67,32 @@ impl Monitor {
             self.overwrite.check(chart, Kind::Chart, inputs)?;
         }
         let thresholds = self.thresholds.load()?;
+        let name = name_of(&self.input);
+        let is_live = is_stream(&self.input) && !self.json;
+        let mut rows = Rows::default();
         let mut windows = Vec::new();
+        let mut link = LinkReport::default();
         let mut keep = |window| {
+            if is_live {
+                print(&rows.row(&window, rows.most.max(window.density_per_px_s)))?;
+            }
             windows.push(window);
             Ok(())
         };
-        if is_frame_file(&self.input)? {
-            of_frames(&self.input, thresholds, &mut keep)?;
-        } else {
-            let reading = self.reading.reading();
-            of_recording(&self.input, &reading, self.window_us, thresholds, &mut keep)?;
+        match Content::of(&self.input)? {
+            Content::Frames(source) => {
+                let mut frames = FrameReader::new(source);
+                of_frames(&mut frames, thresholds, &mut keep).with_context(|| name.clone())?;
+                link = frames.report().clone();
+                ensure!(
+                    link.frames > 0,
+                    "{name}: no frame found; is it a file that `eecvs encode` wrote?"
+                );
+            }
+            Content::Recording(recording) => {
+                let mut reader = recording.open(&self.reading.reading())?;
+                of_recording(reader.as_mut(), self.window_us, thresholds, &mut keep)?;
+            }
         }
         let marks = chart_thresholds(thresholds);
         if let Some(path) = &self.chart {
@@ -86,14 +104,25 @@ impl Monitor {
             let svg = chart::density_histogram("Event density", &densities, marks)?.svg;
             output::write(path, svg)?;
         }
+        let place = Place::beside(
+            self.chart
+                .iter()
+                .chain(&self.histogram)
+                .map(PathBuf::as_path),
+        );
         if self.json {
-            return print_json(&json!({
+            place.print_json(&json!({
                 "tau_low": marks.tau_low,
                 "tau_high": marks.tau_high,
                 "windows": windows,
-            }));
+            }))?;
+        } else {
+            if !is_live {
+                place.print(&table(&windows))?;
+            }
+            place.print(&totals(&windows, thresholds))?;
         }
-        print(&table(&windows, thresholds))
+        tell_link(&name, &link)
     }
 }
 
@@ -124,21 +153,30 @@ fn bar(share: f64) -> String {
     "#".repeat((share * BAR as f64).round() as usize)
 }
 
-fn table(windows: &[WindowDensity], thresholds: Thresholds) -> String {
-    let marks = chart_thresholds(thresholds);
-    let most = windows
-        .iter()
-        .map(|w| w.density_per_px_s)
-        .fold(0.0, f64::max);
-    let mut text = format!(
-        "{:>17} {:>9} {:>8} {:>12} {:8} {}\n",
-        "t0_us", "dur_us", "events", "ev/px/s", "regime", "transform"
-    );
-    for window in windows {
+/// Rows of windows, the titles before the first.
+#[derive(Debug, Default)]
+struct Rows {
+    count: u64,
+    /// The largest density so far.
+    most: f64,
+}
+
+impl Rows {
+    /// A row whose bar is full at `full` events per pixel per second.
+    fn row(&mut self, window: &WindowDensity, full: f64) -> String {
+        let mut text = String::new();
+        if self.count == 0 {
+            text += &format!(
+                "{:>17} {:>9} {:>8} {:>12} {:8} {}\n",
+                "t0_us", "dur_us", "events", "ev/px/s", "regime", "transform"
+            );
+        }
+        self.count += 1;
+        self.most = self.most.max(window.density_per_px_s);
         if window.empty_before > 0 {
             text += &format!("{:>17} {} empty windows\n", "...", window.empty_before);
         }
-        text += &format!(
+        text + &format!(
             "{:>17} {:>9} {:>8} {:>12.4} {:8} {:4} {}\n",
             window.t0_us,
             window.duration_us,
@@ -146,10 +184,27 @@ fn table(windows: &[WindowDensity], thresholds: Thresholds) -> String {
             window.density_per_px_s,
             window.regime.name(),
             window.regime.transform().name(),
-            bar(window.density_per_px_s / most.max(f64::MIN_POSITIVE)),
-        );
+            bar(window.density_per_px_s / full.max(f64::MIN_POSITIVE)),
+        )
     }
-    text += &format!(
+}
+
+fn most(windows: &[WindowDensity]) -> f64 {
+    let densities = windows.iter().map(|window| window.density_per_px_s);
+    densities.fold(0.0, f64::max)
+}
+
+fn table(windows: &[WindowDensity]) -> String {
+    let mut rows = Rows::default();
+    let full = most(windows);
+    let rows = windows.iter().map(|window| rows.row(window, full));
+    rows.collect()
+}
+
+/// Windows by regime, and the histogram of their densities.
+fn totals(windows: &[WindowDensity], thresholds: Thresholds) -> String {
+    let marks = chart_thresholds(thresholds);
+    let mut text = format!(
         "\ntau_low {} tau_high {} events/px/s\n",
         marks.tau_low, marks.tau_high
     );
@@ -160,7 +215,7 @@ fn table(windows: &[WindowDensity], thresholds: Thresholds) -> String {
             .count();
         text += &format!("{:8} {count} windows\n", regime.name());
     }
-    text + &histogram(windows, most)
+    text + &histogram(windows, most(windows))
 }
 
 /// Counts of windows in equal steps of density.

@@ -10,7 +10,8 @@ use eecvs_nostd::{Sensor, Thresholds};
 
 use super::stop::stop_on_signals;
 use crate::formats::growing::Follow;
-use crate::formats::{BadEvents, Columns, Reading, TimeUnit};
+use crate::formats::{self, BadEvents, Columns, FORMATS, Format, Reading, TimeUnit};
+use crate::frame_file::LinkReport;
 use crate::output::Kind;
 use crate::thresholds_file::ThresholdsFile;
 
@@ -75,6 +76,51 @@ impl OutputOptions {
     ) -> Result<()> {
         let inputs: Vec<&Path> = inputs.into_iter().collect();
         crate::output::check(output, kind, self.overwrite, &inputs)
+    }
+}
+
+/// The format of a recording that is written.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct FormatOptions {
+    /// Format of the recording that is written, for an output without an extension, such as - for stdout
+    #[arg(long, value_name = "NAME", value_parser = written_format)]
+    pub format: Option<&'static Format>,
+}
+
+/// Parses the name of a format that is written.
+fn written_format(name: &str) -> Result<&'static Format, String> {
+    let written = || FORMATS.iter().filter(|format| format.create.is_some());
+    let format = written().find(|format| format.name == name);
+    format.ok_or_else(|| {
+        let names: Vec<&str> = written().map(|format| format.name).collect();
+        format!("one of {}", names.join(", "))
+    })
+}
+
+impl FormatOptions {
+    /// The format that was asked for, or that of the output's extension.
+    ///
+    /// # Errors
+    /// An extension of no format or of another one, and no extension where no format was asked for.
+    pub fn of(self, output: &Path) -> Result<&'static Format> {
+        let by_name = formats::writable(output).map(|(format, _)| format);
+        let Some(format) = self.format else {
+            return by_name;
+        };
+        if let Ok(other) = by_name {
+            // Such as .raw, of several formats.
+            let ending = output.extension().unwrap_or_default().to_string_lossy();
+            let ending = format!(".{}", ending.to_ascii_lowercase());
+            let shares = format.endings.iter().any(|long| long.ends_with(&ending));
+            ensure!(
+                shares,
+                "{}: the extension is that of {}, not of {}: choose another name",
+                output.display(),
+                other.title,
+                format.title
+            );
+        }
+        Ok(format)
     }
 }
 
@@ -153,6 +199,18 @@ pub fn tell_damage(damage: Option<&str>, output: Option<&Path>, followed: bool) 
     });
     ensure!(followed, "{damage}{kept}");
     eprintln!("eecvs: {damage}{kept}");
+    Ok(())
+}
+
+/// Says what of frames was damaged or lost: an error where anything is missing, and else a line on stderr.
+///
+/// # Errors
+/// Frames that are missing or damaged, all others of which were used.
+pub fn tell_link(name: &str, link: &LinkReport) -> Result<()> {
+    if let Some(warning) = link.warning() {
+        ensure!(!link.has_loss(), "{name}: {warning}");
+        eprintln!("eecvs: {name}: {warning}");
+    }
     Ok(())
 }
 

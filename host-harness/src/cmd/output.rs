@@ -1,10 +1,13 @@
 //! Results on stdout.
 
-use std::io::{ErrorKind, Write, stdout};
+use std::io::{ErrorKind, Write, stderr, stdout};
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Error, Result};
 use serde::Serialize;
+
+use crate::output::is_stdout;
 
 /// How a program ends: an error is one line on stderr, and exit status 1.
 pub fn end(program: &str, result: Result<()>) -> ExitCode {
@@ -43,6 +46,45 @@ pub fn print(text: &str) -> Result<()> {
 /// As [`print()`].
 pub fn print_json(value: &impl Serialize) -> Result<()> {
     print(&format!("{}\n", serde_json::to_string(value)?))
+}
+
+/// Where a command says what it did: on stdout, unless a stream of the command's own goes there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// stdout.
+    Stdout,
+    /// stderr.
+    Stderr,
+}
+
+impl Place {
+    /// Beside what is written to these outputs.
+    pub fn beside<'p>(outputs: impl IntoIterator<Item = &'p Path>) -> Self {
+        if outputs.into_iter().any(is_stdout) {
+            Self::Stderr
+        } else {
+            Self::Stdout
+        }
+    }
+
+    /// Prints text as it is.
+    ///
+    /// # Errors
+    /// As [`print()`].
+    pub fn print(self, text: &str) -> Result<()> {
+        match self {
+            Self::Stdout => print(text),
+            Self::Stderr => stderr().write_all(text.as_bytes()).context("stderr"),
+        }
+    }
+
+    /// Prints one JSON value and a newline.
+    ///
+    /// # Errors
+    /// As [`print()`].
+    pub fn print_json(self, value: &impl Serialize) -> Result<()> {
+        self.print(&format!("{}\n", serde_json::to_string(value)?))
+    }
 }
 
 /// Rows of a name and a value, aligned.

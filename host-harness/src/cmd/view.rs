@@ -12,9 +12,10 @@ use clap::error::ErrorKind;
 use eecvs_nostd::Sensor;
 use serde::Serialize;
 
-use super::options::{OutputOptions, ReadingOptions};
-use super::output::{print, print_json, rows};
+use super::options::{OutputOptions, ReadingOptions, tell_link};
+use super::output::{Place, rows};
 use super::stop::stop_on_signals;
+use crate::formats::piped::{is_stream, name_of};
 use crate::output::{Kind, is_same};
 use crate::progress::Progress;
 use crate::report::frame_picture::FrameStyle;
@@ -48,10 +49,9 @@ pub struct View {
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
 
-    /// Seconds of the recording that a second shows
-    #[arg(long, value_name = "S", default_value = "0.1", value_parser = speed,
-          conflicts_with = "slice_us")]
-    speed: f64,
+    /// Seconds of the recording that a second shows [default: 0.1, of a pipe 1]
+    #[arg(long, value_name = "S", value_parser = speed, conflicts_with = "slice_us")]
+    speed: Option<f64>,
 
     /// Frames a second
     #[arg(long, value_name = "N", default_value = "30",
@@ -192,7 +192,7 @@ impl View {
             }
         })?;
         drop(progress);
-        self.warn(&frames, &played);
+        let link = self.warn(&frames, &played);
         if let Some(failure) = played.failure {
             return Err(failure);
         }
@@ -206,9 +206,9 @@ impl View {
                 ""
             }
         );
-        if self.output.is_none() {
-            return Ok(());
-        }
+        let Some(output) = &self.output else {
+            return link;
+        };
         let summary = Summary {
             frames: played.frames,
             slice_us: grid.slice_us,
@@ -217,11 +217,13 @@ impl View {
             decoded_events: played.decoded_events,
             skipped_us: frames.skipped_us(),
         };
+        let place = Place::beside([output.as_path()]);
         if self.json {
-            print_json(&summary)
+            place.print_json(&summary)?;
         } else {
-            print(&table(&summary, self.decoded.is_some()))
+            place.print(&table(&summary, self.decoded.is_some()))?;
         }
+        link
     }
 
     /// Refuses an output that would replace what is there or what is read.
@@ -248,7 +250,8 @@ impl View {
 
     fn slice_us(&self) -> u64 {
         // The ranges of both make it 1e12 at the most.
-        let by_speed = (self.speed * 1e6 / f64::from(self.fps)).round() as u64;
+        let usual = if is_stream(&self.file) { 1.0 } else { 0.1 };
+        let by_speed = (self.speed.unwrap_or(usual) * 1e6 / f64::from(self.fps)).round() as u64;
         self.slice_us.unwrap_or(by_speed).max(1)
     }
 
@@ -332,8 +335,9 @@ impl View {
         }
     }
 
-    /// What of the inputs was not shown, a line each.
-    fn warn(&self, frames: &Frames, played: &Played) {
+    /// What of the inputs was not shown, a line each; an error where frames of theirs are missing.
+    fn warn(&self, frames: &Frames, played: &Played) -> Result<()> {
+        let mut link = Ok(());
         let inputs = [
             (Some(&self.file), Some(frames.original())),
             (self.decoded.as_ref(), frames.decoded()),
@@ -342,9 +346,13 @@ impl View {
             let (Some(path), Some(slices)) = (path, slices) else {
                 continue;
             };
-            let name = path.display();
-            if let Some(warning) = slices.input().warning() {
-                eprintln!("eecvs: {name}: {warning}");
+            let name = name_of(path);
+            if let Some(report) = slices.input().report() {
+                match tell_link(&name, report) {
+                    Err(error) if link.is_err() => eprintln!("eecvs: {error:#}"),
+                    Err(error) => link = Err(error),
+                    Ok(()) => {}
+                }
             }
             for (count, what) in [
                 (slices.late(), "are too far out of time order to be shown"),
@@ -365,6 +373,7 @@ impl View {
                 decoded.display()
             );
         }
+        link
     }
 }
 

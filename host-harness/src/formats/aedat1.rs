@@ -34,6 +34,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: false,
     grows: true,
+    streams: true,
     limits: Limits::NONE,
     create: None,
 };

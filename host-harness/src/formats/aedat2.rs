@@ -54,6 +54,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: false,
     grows: true,
+    streams: true,
     limits: Limits {
         x_max: 239,
         y_max: 179,

@@ -138,6 +138,7 @@ pub const FORMAT: Format = Format {
     has_places: true,
     is_table: false,
     grows: true,
+    streams: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Aedat4Writer::create(path, sensor)?))),
 };

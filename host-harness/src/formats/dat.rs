@@ -56,6 +56,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: false,
     grows: true,
+    streams: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(DatWriter::create(path, sensor)?))),
 };

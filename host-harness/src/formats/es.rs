@@ -62,6 +62,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: false,
     grows: true,
+    streams: true,
     limits: Limits {
         t_max_us: T_MAX_US,
         steps_back: false,

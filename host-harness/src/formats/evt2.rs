@@ -43,6 +43,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: false,
     grows: true,
+    streams: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Evt2Writer::create(path, sensor)?))),
 };

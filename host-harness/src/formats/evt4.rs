@@ -61,6 +61,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: false,
     grows: true,
+    streams: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Evt4Writer::create(path, sensor)?))),
 };

@@ -1,19 +1,22 @@
 //! The table of formats: what tells each by its first bytes, and how it is opened and created.
 
 use std::fs::File;
+use std::io::{self, Cursor};
 use std::path::Path;
 
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
+use tempfile::{NamedTempFile, TempPath};
 
 use super::input::{Input, ReadSeek};
+use super::piped::{Piped, is_stream, name_of, whole};
 use super::raw_header::{RawHeader, Words};
 use super::reading::Reading;
 use super::{
     EventReader, EventWriter, adjusted, aedat1, aedat2, aedat3, aedat4, arrow, dat, es, evt2, evt3,
     evt4, evt21, frames, hdf5, mat, nmnist, npz, parquet, ros, text,
 };
-use crate::output::Output;
+use crate::output::{Output, is_stdout};
 
 /// Bytes that a format is told by.
 const START_BYTES: usize = 4096;
@@ -64,10 +67,18 @@ pub struct Format {
     pub is_table: bool,
     /// Whether a file can be read from front to back while it is being written.
     pub grows: bool,
+    /// Whether a file is read, and written where there is a writer, from front to back alone: a pipe will do.
+    pub streams: bool,
     /// What its files hold of events.
     pub limits: Limits,
     /// Creates a file, where there is a writer.
     pub create: Option<Create>,
+}
+
+impl std::fmt::Debug for Format {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str(self.name)
+    }
 }
 
 /// What files of a format hold of events; writers refuse what is beyond.
@@ -150,6 +161,9 @@ pub struct Opening<'a> {
 /// Unknown format, unreadable file, damaged header.
 pub fn open(path: &Path, reading: impl Into<Reading>) -> anyhow::Result<Box<dyn EventReader>> {
     let reading = reading.into();
+    if is_stream(path) {
+        return open_pipe(Piped::open(path)?, &name_of(path), &reading);
+    }
     let inside = place_inside(path);
     let (file, place) = match &inside {
         Some((file, place)) => (*file, Some(place.as_str())),
@@ -213,32 +227,72 @@ pub fn open_source(
     })
 }
 
+/// Opens a recording that comes through a pipe: event by event where its format and size are told by its front
+/// and it is read from front to back alone, and else from a temporary file, when all of it has come.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_pipe(
+    mut pipe: Piped,
+    name: &str,
+    reading: &Reading,
+) -> anyhow::Result<Box<dyn EventReader>> {
+    let front = pipe.front(START_BYTES);
+    let front = front.with_context(|| format!("{name}: cannot be read"))?;
+    let front = front.to_vec();
+    let open_front =
+        |reading: Reading| open_source(Box::new(Cursor::new(front.clone())), name, reading);
+    let source: Box<dyn ReadSeek> = if is_told_by_front(open_front, reading) {
+        Box::new(pipe)
+    } else {
+        Box::new(whole(pipe, name)?)
+    };
+    open_source(source, name, reading.clone())
+}
+
+/// Whether a recording's front is enough to open it, whatever follows.
+fn is_told_by_front(
+    open_front: impl Fn(Reading) -> anyhow::Result<Box<dyn EventReader>>,
+    reading: &Reading,
+) -> bool {
+    let Ok(reader) = open_front(reading.clone()) else {
+        return false;
+    };
+    let format = FORMATS.iter().find(|format| format.name == reader.format());
+    let has_size = || has_size(&open_front, reading, reader.sensor());
+    // Frames have a size each.
+    format.is_some_and(|format| {
+        format.streams
+            && (reading.size.is_some() || format.name == frames::FORMAT.name || has_size())
+    })
+}
+
+/// Whether a recording says its size, which is `sensor`; where it does not, any other would do.
+pub(super) fn has_size(
+    open: impl Fn(Reading) -> anyhow::Result<Box<dyn EventReader>>,
+    reading: &Reading,
+    sensor: Sensor,
+) -> bool {
+    let larger = Sensor {
+        width: if sensor.width == Sensor::SIDE_MAX {
+            1
+        } else {
+            sensor.width + 1
+        },
+        ..sensor
+    };
+    let reading = Reading {
+        size: Some(larger),
+        ..reading.clone()
+    };
+    // Where another size is refused, the file tells its own.
+    !open(reading).is_ok_and(|reader| reader.sensor() != sensor)
+}
+
 fn open_place(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
     let Opening { name, place, .. } = opening;
     let mut input = Input::new(opening.source, name)?;
-    let mut bytes = vec![0; START_BYTES];
-    let filled = input.fill(&mut bytes)?;
-    bytes.truncate(filled);
-    // Text and N-MNIST have no header: a recording of no events is an empty file.
-    let may_be_empty = |ending| name.to_ascii_lowercase().ends_with(ending);
-    if bytes.is_empty() && ![".bin", ".csv", ".txt"].into_iter().any(may_be_empty) {
-        anyhow::bail!("{name}: byte 0: the file is empty");
-    }
-    let header = if bytes.starts_with(b"%") {
-        input.seek(0)?;
-        Some(RawHeader::read(&mut input)?)
-    } else {
-        None
-    };
-    let start = Start {
-        bytes: &bytes,
-        name,
-        length: input.length(),
-        header,
-    };
-    let Some(format) = FORMATS.iter().find(|format| (format.detect)(&start)) else {
-        return Err(unknown(&start));
-    };
+    let format = tell(&mut input)?;
     anyhow::ensure!(
         place.is_none() || format.has_places,
         "{name}: {} has no places: nothing is behind its name",
@@ -251,6 +305,33 @@ fn open_place(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
         ..opening
     })?;
     adjusted::adjusted(reader, format, name, &reading)
+}
+
+/// The format of a recording, by its first bytes.
+fn tell(input: &mut Input) -> anyhow::Result<&'static Format> {
+    let name = input.name().to_owned();
+    let mut bytes = vec![0; START_BYTES];
+    let filled = input.fill(&mut bytes)?;
+    bytes.truncate(filled);
+    // Text and N-MNIST have no header: a recording of no events is an empty file.
+    let may_be_empty = |ending| name.to_ascii_lowercase().ends_with(ending);
+    if bytes.is_empty() && ![".bin", ".csv", ".txt"].into_iter().any(may_be_empty) {
+        anyhow::bail!("{name}: byte 0: the file is empty");
+    }
+    let header = if bytes.starts_with(b"%") {
+        input.seek(0)?;
+        Some(RawHeader::read(input)?)
+    } else {
+        None
+    };
+    let start = Start {
+        bytes: &bytes,
+        name: &name,
+        length: input.length(),
+        header,
+    };
+    let format = FORMATS.iter().find(|format| (format.detect)(&start));
+    format.ok_or_else(|| unknown(&start))
 }
 
 /// What a file is not, told as well as it can be.
@@ -279,8 +360,36 @@ fn unknown(start: &Start) -> anyhow::Error {
 /// # Errors
 /// As [`writable`]; an unwritable file, a sensor that the format cannot hold.
 pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Box<dyn EventWriter>> {
-    let (_, create) = writable(path)?;
-    Kept::create(Output::begin(path)?, create, sensor)
+    create_as(path, writable(path)?.0, sensor)
+}
+
+/// As [`create`], in a format whatever the name. What goes to a pipe goes there event by event where the format is
+/// written from front to back, and else when it is complete.
+///
+/// # Errors
+/// As [`create`]; a format without a writer.
+pub fn create_as(
+    path: &Path,
+    format: &Format,
+    sensor: Sensor,
+) -> anyhow::Result<Box<dyn EventWriter>> {
+    let create = format
+        .create
+        .with_context(|| format!("{}: {} are not written", path.display(), format.title))?;
+    let output = Output::begin(path)?;
+    if output.is_direct() && !format.streams {
+        let file = NamedTempFile::new()
+            .with_context(|| format!("{}: no temporary file for it", path.display()))?;
+        let file = file.into_temp_path();
+        let writer = create(&file, sensor)?;
+        return Ok(Box::new(Later {
+            writer,
+            file,
+            output,
+        }));
+    }
+    let writer = create(output.path(), sensor)?;
+    Ok(Box::new(Kept { writer, output }))
 }
 
 /// As [`create`], but the file is written under its own name: meant for a name that is temporary.
@@ -299,17 +408,6 @@ struct Kept {
     output: Output,
 }
 
-impl Kept {
-    fn create(
-        output: Output,
-        create: Create,
-        sensor: Sensor,
-    ) -> anyhow::Result<Box<dyn EventWriter>> {
-        let writer = create(output.path(), sensor)?;
-        Ok(Box::new(Self { writer, output }))
-    }
-}
-
 impl EventWriter for Kept {
     fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
         self.writer.write(events)
@@ -318,6 +416,34 @@ impl EventWriter for Kept {
     fn finish(self: Box<Self>) -> anyhow::Result<()> {
         let Self { writer, output } = *self;
         writer.finish()?;
+        output.keep()
+    }
+}
+
+/// A recording that goes to a pipe when it is complete.
+struct Later {
+    // Closed before the file is read or removed.
+    writer: Box<dyn EventWriter>,
+    file: TempPath,
+    output: Output,
+}
+
+impl EventWriter for Later {
+    fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
+        self.writer.write(events)
+    }
+
+    fn finish(self: Box<Self>) -> anyhow::Result<()> {
+        let Self {
+            writer,
+            file,
+            output,
+        } = *self;
+        writer.finish()?;
+        let name = output.name().display();
+        let mut file = File::open(&file).with_context(|| format!("{name}: its temporary file"))?;
+        let mut pipe = output.file()?;
+        io::copy(&mut file, &mut pipe).with_context(|| format!("{name}: cannot be written"))?;
         output.keep()
     }
 }
@@ -347,6 +473,11 @@ pub fn writable(path: &Path) -> anyhow::Result<(&'static Format, Create)> {
     anyhow::ensure!(
         !name.ends_with(frames::ENDING),
         "{}: frames are written by `eecvs encode`",
+        path.display()
+    );
+    anyhow::ensure!(
+        !is_stdout(path),
+        "{}: stdout has no extension: name the format with --format",
         path.display()
     );
     let endings: Vec<&str> = all().map(|(ending, ..)| ending).collect();

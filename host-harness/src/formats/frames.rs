@@ -19,7 +19,7 @@ use super::Skipped;
 use super::format::{Format, Limits, Opening};
 use super::input::{Batch, Decode, ReadSeek, Reader};
 use crate::decode::{WindowEvents, WindowReader};
-use crate::frame_file::FrameReader;
+use crate::frame_file::{FrameReader, LinkReport};
 use crate::reconstruct::DecodedWindow;
 use crate::reconstruct::events::Finder;
 
@@ -36,6 +36,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: false,
     grows: false,
+    streams: true,
     limits: Limits::NONE,
     create: None,
 };
@@ -92,7 +93,7 @@ impl<R: Read> FrameEvents<R> {
     /// The next window, with its events, which are some; `None` at the end.
     ///
     /// # Errors
-    /// I/O; a window of another sensor.
+    /// I/O.
     pub fn next_window(&mut self) -> Result<Option<DecodedWindow>> {
         let name = &self.name;
         let window = loop {
@@ -106,16 +107,6 @@ impl<R: Read> FrameEvents<R> {
             self.events.fill(&mut window);
             self.ahead = Some(window);
         };
-        let Sensor { width, height } = window.header.sensor;
-        if window.header.sensor != self.sensor {
-            bail!(
-                "{name}: byte {}: a window of {width}x{height} pixels after those of {}x{}: frames of two sensors: \
-                 decode them apart",
-                self.windows.offset(),
-                self.sensor.width,
-                self.sensor.height
-            );
-        }
         Ok(Some(window))
     }
 
@@ -125,9 +116,8 @@ impl<R: Read> FrameEvents<R> {
     }
 
     /// What was damaged or lost so far.
-    #[must_use]
-    pub fn warning(&self) -> Option<String> {
-        self.windows.report().warning()
+    pub const fn report(&self) -> &LinkReport {
+        self.windows.report()
     }
 }
 
@@ -175,10 +165,18 @@ impl FramesDecoder {
             self.skipped.add(kind, events);
         }
         let report = windows.report();
-        let Some(warning) = report.warning() else {
+        for (kind, frames) in [
+            ("frames that came twice", report.frames_repeated),
+            ("frames out of order, used", report.frames_reordered),
+            ("new beginnings of the frames' numbers", report.restarts),
+        ] {
+            self.skipped.add(kind, frames);
+        }
+        let Some(warning) = report.warning().filter(|_| report.has_loss()) else {
             return Ok(());
         };
         let first = report.first_damage.as_ref();
+        let first = first.or(report.other_sensor.as_ref());
         let at = first.map_or(windows.offset(), |(offset, _)| *offset);
         bail!("{}: byte {at}: {warning}", self.frames.name)
     }

@@ -9,8 +9,9 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use eecvs_nostd::Sensor;
 
+use super::format::has_size;
+use super::piped::is_stream;
 use super::{EventReader, FORMATS, Reading, open, open_source};
 
 /// Time between two looks at a file that had no more.
@@ -50,6 +51,10 @@ pub fn open_growing(
     reading: &Reading,
     follow: &Follow,
 ) -> Result<Box<dyn EventReader>> {
+    // It grows until it ends.
+    if is_stream(path) {
+        return open(path, reading);
+    }
     let name = path.display().to_string();
     let grown = Instant::now();
     // Its header may still be on the way.
@@ -75,7 +80,7 @@ pub fn open_growing(
     );
     // Without it, the largest pixel of the whole file would be looked for.
     let sensor = reader.sensor();
-    if reading.size.is_none() && has_no_size(path, reading, sensor)? {
+    if reading.size.is_none() && !has_size(|reading| open(path, reading), reading, sensor) {
         bail!("{name}: tells no sensor size, and grows: give --width W --height H");
     }
     drop(reader);
@@ -90,24 +95,6 @@ pub fn open_growing(
         ..reading.clone()
     };
     open_source(Box::new(growing), &name, reading)
-}
-
-/// Whether a file's size comes from its events: it opens with another as well.
-fn has_no_size(path: &Path, reading: &Reading, sensor: Sensor) -> Result<bool> {
-    let larger = Sensor {
-        width: if sensor.width == Sensor::SIDE_MAX {
-            1
-        } else {
-            sensor.width + 1
-        },
-        ..sensor
-    };
-    let reading = Reading {
-        size: Some(larger),
-        ..reading.clone()
-    };
-    // Where another size is refused, the file tells its own.
-    Ok(open(path, reading).is_ok_and(|reader| reader.sensor() != sensor))
 }
 
 /// A file whose end is where it has not grown for long enough.
@@ -143,7 +130,7 @@ mod tests {
     use std::io::Write;
     use std::thread;
 
-    use eecvs_nostd::{Event, Polarity};
+    use eecvs_nostd::{Event, Polarity, Sensor};
 
     use super::*;
     use crate::formats::create;

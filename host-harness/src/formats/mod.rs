@@ -43,6 +43,7 @@ mod npz_layout;
 mod npz_writer;
 mod output;
 pub mod parquet;
+pub mod piped;
 pub mod raw_header;
 mod raw_row;
 mod raw_writer;
@@ -70,14 +71,14 @@ use std::path::Path;
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
-use crate::output::final_path;
+use crate::output::{create_bytes, final_path};
 
 pub use aedat4_writer::{Aedat4Writer, Compression};
 pub use arrow::ArrowWriter;
 pub use dat_writer::DatWriter;
 pub use format::{
-    FORMATS, Format, Limits, Opening, Start, create, create_in_place, file_of, open, open_source,
-    writable,
+    FORMATS, Format, Limits, Opening, Start, create, create_as, create_in_place, file_of, open,
+    open_pipe, open_source, writable,
 };
 pub use hdf5::Hdf5Writer;
 pub use mat::MatWriter;
@@ -191,7 +192,7 @@ const BUFFER_BYTES: usize = 1 << 16;
 /// Opens `path` for writing; also returns its name for messages.
 fn create_file(path: &Path) -> anyhow::Result<(BufWriter<File>, String)> {
     let name = final_path(path).display().to_string();
-    let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
+    let file = create_bytes(path).with_context(|| format!("{name}: cannot be created"))?;
     Ok((BufWriter::with_capacity(BUFFER_BYTES, file), name))
 }
 

@@ -53,6 +53,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: false,
     grows: true,
+    streams: true,
     limits: Limits {
         x_max: u8::MAX as u16,
         y_max: OVERFLOW_Y as u16 - 1,

@@ -53,6 +53,7 @@ pub const FORMAT: Format = Format {
     has_places: true,
     is_table: true,
     grows: false,
+    streams: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(NpzWriter::create(path, sensor)?))),
 };
@@ -77,6 +78,7 @@ pub const NPY_FORMAT: Format = Format {
     has_places: false,
     is_table: true,
     grows: false,
+    streams: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(NpyWriter::create(path, sensor)?))),
 };

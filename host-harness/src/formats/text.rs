@@ -58,6 +58,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: true,
     grows: true,
+    streams: true,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor)?))),
 };

@@ -258,10 +258,7 @@ mod tests {
         let config = Config {
             m: 4,
             ..Config::new(
-                WindowConfig {
-                    sensor: SCENE.sensor,
-                    window_us: 10_000,
-                },
+                WindowConfig::new(SCENE.sensor, 10_000),
                 Thresholds::new(0, 0).unwrap(),
                 Mode::Transform,
             )

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 
 use super::Output;
 
@@ -24,8 +24,7 @@ impl OutputFile {
     /// A file that cannot be created; the message names it.
     pub fn create(path: &Path) -> Result<Self> {
         let output = Output::begin(path)?;
-        let file = File::create(output.path())
-            .with_context(|| format!("{}: cannot be created", output.name().display()))?;
+        let file = output.file()?;
         Ok(Self {
             out: BufWriter::with_capacity(1 << 16, file),
             output,
@@ -51,7 +50,13 @@ impl OutputFile {
 
 impl Write for OutputFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.out.write(bytes).map_err(|error| self.named(&error))
+        let written = self.out.write(bytes);
+        let written = written.map_err(|error| self.named(&error))?;
+        // Whoever reads a pipe does not wait for more.
+        if self.output.is_direct() {
+            self.flush()?;
+        }
+        Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {

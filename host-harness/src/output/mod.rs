@@ -4,6 +4,7 @@ mod ending;
 mod file;
 mod same;
 
+use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -39,6 +40,10 @@ pub fn check(path: &Path, kind: Kind, overwrite: bool, inputs: &[&Path]) -> Resu
             "{name}: input and output are the same file ({} is read): give the output another name",
             input.display()
         );
+    }
+    // Stdout has no ending.
+    if is_stdout(path) {
+        return Ok(());
     }
     kind.check(path)?;
     if is_direct(path) {
@@ -144,6 +149,21 @@ impl Output {
             Place::Part(part, _) => part,
             Place::Live(part, _) => part,
         }
+    }
+
+    /// The file to be written.
+    ///
+    /// # Errors
+    /// It cannot be created; the message names it.
+    pub fn file(&self) -> Result<File> {
+        create_bytes(self.path())
+            .with_context(|| format!("{}: cannot be created", self.name.display()))
+    }
+
+    /// Whether what is written cannot be taken back: it goes to a device or a pipe.
+    #[must_use]
+    pub const fn is_direct(&self) -> bool {
+        matches!(self.place, Place::Direct)
     }
 
     /// The name that the file will have.
@@ -273,6 +293,30 @@ pub fn is_dash(path: &Path) -> bool {
 pub fn is_stdout(path: &Path) -> bool {
     let names = ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"];
     names.iter().any(|name| path.as_os_str() == *name)
+}
+
+/// Opens a file to be written, empty; stdout goes on behind what is there.
+///
+/// # Errors
+/// I/O.
+pub fn create_bytes(path: &Path) -> std::io::Result<File> {
+    if is_stdout(path) {
+        return stdout();
+    }
+    File::create(path)
+}
+
+#[cfg(unix)]
+fn stdout() -> std::io::Result<File> {
+    use std::os::fd::AsFd;
+    Ok(File::from(std::io::stdout().as_fd().try_clone_to_owned()?))
+}
+
+#[cfg(windows)]
+fn stdout() -> std::io::Result<File> {
+    use std::os::windows::io::AsHandle;
+    let stdout = std::io::stdout();
+    Ok(File::from(stdout.as_handle().try_clone_to_owned()?))
 }
 
 /// Whether `path` is no place for a file of its own: a device, a pipe, an open file of a process.

@@ -290,10 +290,7 @@ impl DecodedWindow {
             quantiser: header.quantiser,
             key_windows: 1,
             ..Config::new(
-                WindowConfig {
-                    sensor: header.sensor,
-                    window_us: header.duration_us,
-                },
+                WindowConfig::new(header.sensor, header.duration_us),
                 Thresholds::new(0, 0).context("thresholds of 0")?,
                 Mode::Transform,
             )

@@ -1,22 +1,24 @@
 //! A recording or a file of frames as one stream of events.
 
-use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use eecvs_nostd::{Event, Sensor};
 
+use crate::content::Content;
 use crate::formats::ahead::Ahead;
 use crate::formats::frames::FrameEvents;
-use crate::formats::{self, BATCH_EVENTS, EventReader, Reading};
-use crate::frame_file::is_frame_file;
+use crate::formats::piped::name_of;
+use crate::formats::{BATCH_EVENTS, EventReader, Reading};
+use crate::frame_file::LinkReport;
 
 /// Events of a file, whatever it holds.
 pub enum Input {
     /// Of a recording.
     Recording(Ahead),
     /// Decoded from frames.
-    Frames(Box<FrameEvents<File>>),
+    Frames(Box<FrameEvents<Box<dyn Read + Send>>>),
 }
 
 impl Input {
@@ -26,14 +28,12 @@ impl Input {
     /// # Errors
     /// A file that cannot be opened, of no known format, or without a frame that decodes.
     pub fn open(path: &Path, reading: &Reading) -> Result<Self> {
-        // Damage may hide what frames begin with.
-        let is_named_so = path.extension().is_some_and(|ending| ending == "eecvs");
-        if is_named_so || is_frame_file(path)? {
-            let name = path.display().to_string();
-            let file = File::open(path).with_context(|| format!("{name}: cannot open"))?;
-            return Ok(Self::Frames(Box::new(FrameEvents::new(file, &name)?)));
-        }
-        Ok(Self::recording(formats::open(path, reading)?))
+        Ok(match Content::of(path)? {
+            Content::Frames(source) => {
+                Self::Frames(Box::new(FrameEvents::new(source, &name_of(path))?))
+            }
+            Content::Recording(recording) => Self::recording(recording.open(reading)?),
+        })
     }
 
     /// The events of a reader.
@@ -83,10 +83,10 @@ impl Input {
 
     /// What was damaged or lost of the frames that were read.
     #[must_use]
-    pub fn warning(&self) -> Option<String> {
+    pub fn report(&self) -> Option<&LinkReport> {
         match self {
             Self::Recording(_) => None,
-            Self::Frames(frames) => frames.warning(),
+            Self::Frames(frames) => Some(frames.report()),
         }
     }
 }

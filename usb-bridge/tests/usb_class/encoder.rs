@@ -145,10 +145,7 @@ impl EventReader for Recording {
 
 pub fn config(mode: Mode) -> Config {
     Config {
-        window: WindowConfig {
-            sensor: SENSOR,
-            window_us: 5000,
-        },
+        window: WindowConfig::new(SENSOR, 5000),
         thresholds: Thresholds::new(1_000_000_000_000, 50_000_000_000_000).unwrap(),
         transform: None,
         m: 8,

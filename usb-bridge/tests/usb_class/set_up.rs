@@ -78,10 +78,7 @@ fn decoded(bytes: &[u8]) -> Vec<Event> {
 
 /// Coefficients that hold every time: as many as there are cells of a microsecond.
 fn every_coefficient() -> Config {
-    let window = WindowConfig {
-        sensor: SENSOR,
-        window_us: 64,
-    };
+    let window = WindowConfig::new(SENSOR, 64);
     Config {
         window,
         transform: Some(Transform::Dwt),
@@ -142,10 +139,7 @@ fn by_place(mut events: Vec<Event>) -> Vec<Event> {
 #[test]
 fn a_setup_that_is_refused_is_one_line() {
     let dense = |width, height| Config {
-        window: WindowConfig {
-            sensor: Sensor { width, height },
-            window_us: 5000,
-        },
+        window: WindowConfig::new(Sensor { width, height }, 5000),
         ..config(DENSE)
     };
     let (_, encoder) = attached(application::Encoder::new().on_a_bus());

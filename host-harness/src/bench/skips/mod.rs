@@ -191,10 +191,7 @@ impl<'s> Point<'s> {
             m,
             grid: Some(self.grid()),
             ..Config::new(
-                WindowConfig {
-                    sensor: self.source.sensor,
-                    window_us: WINDOW_US,
-                },
+                WindowConfig::new(self.source.sensor, WINDOW_US),
                 // Unused, since the transform is given.
                 const { Thresholds::new(0, 0).unwrap() },
                 Mode::Transform,

@@ -83,6 +83,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: true,
     grows: false,
+    streams: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(ArrowWriter::create(path, sensor)?))),
 };

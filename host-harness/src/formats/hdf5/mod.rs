@@ -67,6 +67,7 @@ pub const FORMAT: Format = Format {
     has_places: true,
     is_table: true,
     grows: false,
+    streams: false,
     // And 38 hours from the first event to the last, which no limit of a single event tells.
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Hdf5Writer::create(path, sensor)?))),

@@ -55,6 +55,7 @@ pub const FORMAT: Format = Format {
     has_places: true,
     is_table: true,
     grows: false,
+    streams: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(MatWriter::create(path, sensor)?))),
 };

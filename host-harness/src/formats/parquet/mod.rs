@@ -81,6 +81,7 @@ pub const FORMAT: Format = Format {
     has_places: false,
     is_table: true,
     grows: false,
+    streams: false,
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(ParquetWriter::create(path, sensor)?))),
 };

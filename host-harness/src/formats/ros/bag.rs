@@ -65,6 +65,7 @@ pub const FORMAT: Format = Format {
     has_places: true,
     is_table: false,
     grows: true,
+    streams: false,
     limits: Limits {
         t_max_us: t_max_us(Serialisation::Ros1),
         ..Limits::NONE

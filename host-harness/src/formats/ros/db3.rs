@@ -37,6 +37,7 @@ pub const FORMAT: Format = Format {
     has_places: true,
     is_table: false,
     grows: false,
+    streams: false,
     limits: Limits {
         t_max_us: t_max_us(Serialisation::Cdr),
         ..Limits::NONE

@@ -114,10 +114,7 @@ impl Drop for McuStream {
 /// How the frames are encoded.
 pub(super) const fn config(sensor: Sensor) -> Config {
     Config {
-        window: WindowConfig {
-            sensor,
-            window_us: WINDOW_US,
-        },
+        window: WindowConfig::new(sensor, WINDOW_US),
         thresholds: ZERO,
         transform: None,
         m: 16,

@@ -1,0 +1,118 @@
+//! `eecvs split`: frames of several sensors, taken apart.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Args;
+use serde::Serialize;
+
+use super::options::{OutputOptions, tell_link};
+use super::output::{print, print_json};
+use crate::formats::piped::name_of;
+use crate::frame_file::{FrameReader, LinkReport};
+use crate::output::is_dash;
+use crate::split::{Part, split};
+
+/// Take frames of several sensors, or of recordings put together, apart
+///
+/// There is a file for each size of sensor, and a further one where the numbers of its frames begin anew. Frames
+/// of two sensors of one size that alternate cannot be told apart.
+#[derive(Debug, Args)]
+pub struct Split {
+    /// File of frames
+    #[arg(value_name = "IN.eecvs")]
+    input: PathBuf,
+
+    /// Folder to write to: 1-346x260.eecvs and so on
+    #[arg(short, long, value_name = "FOLDER")]
+    output: PathBuf,
+
+    #[command(flatten)]
+    overwrite: OutputOptions,
+
+    /// Print one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+/// What `eecvs split` reports; the fields are its JSON keys.
+#[derive(Debug, Serialize)]
+struct Report<'r> {
+    parts: Vec<Part>,
+    #[serde(flatten)]
+    link: &'r LinkReport,
+}
+
+impl Split {
+    /// Writes the parts and prints a row about each.
+    ///
+    /// # Errors
+    /// Frames that cannot be read, a file that is there already; frames that are damaged or missing, after all
+    /// others were written.
+    pub fn run(self) -> Result<()> {
+        let name = name_of(&self.input);
+        self.check()?;
+        let mut reader = FrameReader::open(&self.input)?.of_all_sensors();
+        std::fs::create_dir_all(&self.output)
+            .with_context(|| format!("{}: cannot be created", self.output.display()))?;
+        let parts = split(&mut reader, &self.output, self.overwrite.overwrite)
+            .with_context(|| name.clone())?;
+        if parts.is_empty() {
+            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+        }
+        let cut = parts.iter().filter(|part| part.first_number != 0).count();
+        if cut > 0 {
+            eprintln!(
+                "eecvs: {name}: the first frames of {cut} parts are missing, or frames of sensors of one size \
+                 alternate, which cannot be told apart"
+            );
+        }
+        let link = LinkReport {
+            // What it is here for.
+            restarts: 0,
+            ..reader.report().clone()
+        };
+        let report = Report { parts, link: &link };
+        if self.json {
+            print_json(&report)?;
+        } else {
+            print(&table(&report.parts))?;
+        }
+        tell_link(&name, &link)
+    }
+
+    fn check(&self) -> Result<()> {
+        let name = self.output.display();
+        ensure!(
+            !is_dash(&self.output) && (!self.output.exists() || self.output.is_dir()),
+            "{name}: parts are files of a folder: name one"
+        );
+        // A part that replaces what is read would destroy it.
+        let folder = self.input.parent().unwrap_or(Path::new(""));
+        let is_inside = folder.join(".").canonicalize().ok() == self.output.canonicalize().ok();
+        ensure!(
+            !is_inside || !self.overwrite.overwrite,
+            "{name}: {} lies there: choose another folder",
+            self.input.display()
+        );
+        Ok(())
+    }
+}
+
+fn table(parts: &[Part]) -> String {
+    let mut text = format!(
+        "{:>9} {:>9} {:>11} {:>12}  {}\n",
+        "sensor", "frames", "events", "bytes", "file"
+    );
+    for part in parts {
+        text += &format!(
+            "{:>9} {:>9} {:>11} {:>12}  {}\n",
+            format!("{}x{}", part.width, part.height),
+            part.frames,
+            part.events,
+            part.bytes,
+            part.file.display()
+        );
+    }
+    text
+}
