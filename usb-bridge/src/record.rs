@@ -3,11 +3,13 @@
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::num::NonZeroUsize;
+use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, anyhow};
 use eecvs_nostd::Event;
+use eecvs_nostd::frame::Header as FrameHeader;
 use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
 use host_harness::formats::{self, EventReader, Pause};
 use host_harness::output;
@@ -45,12 +47,15 @@ impl Kind {
     }
 }
 
-/// By extension: `.stream`, `.eecvs`, or a recording's.
+/// By extension: `.stream`, `.eecvs`, or a recording's; stdout gets frames.
 ///
 /// # Errors
 /// A format whose files cannot be read before they are complete.
 pub fn kind_of(path: &Path) -> Result<Kind> {
     let name = path.display();
+    if output::is_stdout(path) {
+        return Ok(Kind::Frames);
+    }
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("stream") => Ok(Kind::Stream),
         Some("eecvs") => Ok(Kind::Frames),
@@ -116,15 +121,64 @@ fn each_chunk(
     written
 }
 
-/// Writes events until the stream ends or fails. What came before a failure is in the file, which is
+/// What was written, and in which order of times.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Order {
+    /// Events that came.
+    pub events: u64,
+    /// Runs: 1, and 1 for each time that the clock fell back further than is put in order.
+    pub runs: u64,
+    /// Events that came too late for their window, and are in no frame.
+    pub events_late: u64,
+}
+
+impl Order {
+    /// Takes the header of a frame that is kept as it is.
+    fn frame(&mut self, header: &FrameHeader) {
+        self.events += u64::from(header.events);
+        self.events_late += u64::from(header.late);
+        self.runs = self.runs.max(1) + u64::from(header.begins_run && self.runs > 0);
+    }
+
+    /// Takes events of a recording, the latest time before which is `latest_us`.
+    fn events(&mut self, events: &[Event], latest_us: &mut u64, reorder_us: u32) {
+        self.events += events.len() as u64;
+        for event in events {
+            self.runs = self.runs.max(1);
+            if event.t_us.saturating_add(reorder_us.into()) < *latest_us {
+                self.runs += 1;
+                *latest_us = event.t_us;
+            }
+            *latest_us = event.t_us.max(*latest_us);
+        }
+    }
+}
+
+impl From<&EncodeSummary> for Order {
+    fn from(summary: &EncodeSummary) -> Self {
+        Self {
+            events: summary.events_in,
+            runs: summary.runs,
+            events_late: summary.events_late,
+        }
+    }
+}
+
+/// Writes events until the stream ends or fails, and adds to `order` what they were: runs are told apart by
+/// times that fall back by more than `reorder_us`. What came before a failure is in the file, which is
 /// closed in order where that is still possible.
 ///
 /// # Errors
 /// The link, the file; the message names it.
-pub fn events(reader: &mut dyn EventReader, path: &Path) -> Result<u64> {
+pub fn events(
+    reader: &mut dyn EventReader,
+    path: &Path,
+    reorder_us: u32,
+    order: &mut Order,
+) -> Result<()> {
     let mut writer = formats::create_in_place(path, reader.sensor())?;
     let mut batch: Vec<Event> = Vec::with_capacity(formats::BATCH_EVENTS);
-    let mut written = 0;
+    let mut latest_us = 0;
     let outcome = loop {
         batch.clear();
         let read = reader.read(&mut batch);
@@ -133,7 +187,7 @@ pub fn events(reader: &mut dyn EventReader, path: &Path) -> Result<u64> {
             if let Err(error) = writer.write(&batch) {
                 break Err(error);
             }
-            written += batch.len() as u64;
+            order.events(&batch, &mut latest_us, reorder_us);
         }
         match read {
             Err(error) => break Err(error),
@@ -142,8 +196,7 @@ pub fn events(reader: &mut dyn EventReader, path: &Path) -> Result<u64> {
         }
     };
     let finished = writer.finish();
-    outcome.and(finished)?;
-    Ok(written)
+    outcome.and(finished)
 }
 
 /// Writes frames until the stream ends or fails; those before a failure are in the file.
@@ -170,23 +223,30 @@ pub fn frames(
     flushed.map(|()| summary)
 }
 
-/// Writes the frames of an encoder as they are, each with one `write_all`, until the stream ends or fails.
+/// Writes the frames of an encoder as they are, each with one `write_all`, until the stream ends or fails, and
+/// adds to `order` what they say.
 ///
 /// # Errors
 /// The link, the output.
-pub fn encoders_frames(session: &Session, out: &mut dyn Write) -> Result<()> {
+pub fn encoders_frames(session: &Session, out: &mut dyn Write, order: &mut Order) -> Result<()> {
     let mut messages = Messages::default();
-    each_chunk(session, |chunk| kept(&mut messages, chunk, out))
-        .map_err(|error| anyhow!("frames cannot be written: {error}"))?;
+    each_chunk(session, |chunk| kept(&mut messages, chunk, out, order))
+        .context("frames cannot be written")?;
     session.outcome()
 }
 
 /// Writes the frames that are whole with a chunk.
-fn kept(messages: &mut Messages, chunk: &Chunk, out: &mut dyn Write) -> io::Result<()> {
+fn kept(
+    messages: &mut Messages,
+    chunk: &Chunk,
+    out: &mut dyn Write,
+    order: &mut Order,
+) -> io::Result<()> {
     let mut write = |messages: &mut Messages| {
         while let Some(message) = messages.next() {
-            if let Message::Frame { bytes, .. } = message {
+            if let Message::Frame { bytes, frame, .. } = message {
                 out.write_all(bytes)?;
+                order.frame(&frame.header);
             }
         }
         Ok::<_, io::Error>(())
@@ -207,9 +267,23 @@ fn kept(messages: &mut Messages, chunk: &Chunk, out: &mut dyn Write) -> io::Resu
 /// # Errors
 /// It cannot be created; the message names it.
 pub fn create(path: &Path) -> Result<BufWriter<File>> {
-    let file = File::create(path);
-    let file = file.with_context(|| format!("{}: cannot be created", path.display()))?;
-    Ok(BufWriter::with_capacity(1 << 16, file))
+    let file = file(path).with_context(|| format!("{}: cannot be created", path.display()))?;
+    // Whoever reads stdout gets each frame when it is written.
+    let room = if output::is_stdout(path) { 0 } else { 1 << 16 };
+    Ok(BufWriter::with_capacity(room, file))
+}
+
+/// A file to write, or stdout as it is: opened by its name, it would be written from its beginning, and a
+/// socket could not be.
+///
+/// # Errors
+/// It cannot be created.
+pub fn file(path: &Path) -> io::Result<File> {
+    if output::is_stdout(path) {
+        let stdout = io::stdout().as_fd().try_clone_to_owned()?;
+        return Ok(File::from(stdout));
+    }
+    File::create(path)
 }
 
 /// Writes what is buffered.
