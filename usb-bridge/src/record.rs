@@ -294,3 +294,27 @@ pub fn flush(out: &mut dyn Write, path: &Path) -> Result<()> {
     let flushed = out.flush();
     flushed.with_context(|| format!("{}: cannot be written", path.display()))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eecvs_nostd::Polarity;
+
+    #[test]
+    fn a_time_that_falls_back_further_than_is_put_in_order_begins_a_run() {
+        let at = |t_us| Event {
+            t_us,
+            x: 0,
+            y: 0,
+            polarity: Polarity::On,
+        };
+        let (mut order, mut latest_us) = (Order::default(), 0);
+        order.events(&[], &mut latest_us, 10);
+        assert_eq!(order.runs, 0);
+        order.events(&[at(100), at(90), at(100)], &mut latest_us, 10);
+        assert_eq!(order.runs, 1);
+        order.events(&[at(89), at(99)], &mut latest_us, 10);
+        order.events(&[at(100), at(0)], &mut latest_us, 10);
+        assert_eq!((order.runs, order.events), (3, 7));
+    }
+}

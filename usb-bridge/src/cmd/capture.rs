@@ -109,7 +109,7 @@ impl Capture {
         warn_of_order(&report, &order);
         let telling = Telling {
             json: self.stream.json,
-            is_stdout_taken: is_stdout(&self.output),
+            is_stdout_taken: is_stdout(&self.output) || self.device.place().is_on_stdout(),
         };
         let has_order = kind != Kind::Stream && outcome.is_ok();
         let summary = Summary {

@@ -160,7 +160,7 @@ impl Forward {
         // Standard output may be a consumer's: the summary would stand in its stream.
         let telling = Telling {
             json: self.stream.json,
-            is_stdout_taken: self.to.iter().any(is_on_stdout),
+            is_stdout_taken: self.to.iter().any(is_on_stdout) || self.device.place().is_on_stdout(),
         };
         telling.tell(&summary, || summary.table(&order))?;
         outcome?;
@@ -179,8 +179,13 @@ impl Forward {
         let mut files: Vec<&Path> = Vec::new();
         for (i, to) in self.to.iter().enumerate() {
             ensure!(!self.to[..i].contains(to), "--to {to}: is given twice");
-            let Address::File(path) = to else {
-                continue;
+            let path = match to {
+                Address::File(path) => path.as_path(),
+                Address::Stdout => {
+                    files.push(Path::new("-"));
+                    continue;
+                }
+                Address::Tcp(_) | Address::Udp(_) | Address::Unix(_) => continue,
             };
             output::check(path, kind, self.overwrite, &inputs)?;
             ensure!(

@@ -53,6 +53,12 @@ impl PlaceOptions {
         self.file().into_iter().chain(self.trace.as_deref())
     }
 
+    /// Whether the trace goes to stdout.
+    #[must_use]
+    pub fn is_on_stdout(&self) -> bool {
+        self.trace.as_deref().is_some_and(output::is_stdout)
+    }
+
     /// The file that is played.
     fn file(&self) -> Option<&Path> {
         match &self.device {
@@ -260,21 +266,29 @@ pub fn warn_of_losses(report: &Report) {
 
 /// Lines on stderr where the clock began anew, or events came too late.
 pub fn warn_of_order(report: &Report, order: &Order) {
-    let device = &report.device;
+    for line in disorder(order) {
+        warn(&format!("{}: {line}", report.device));
+    }
+}
+
+/// What there is to say of an order.
+fn disorder(order: &Order) -> Vec<String> {
+    let mut lines = Vec::new();
     if order.runs > 1 {
-        let again = order.runs - 1;
-        warn(&format!(
-            "{device}: the clock began anew {again} times: there are {} runs, which hold all events; where it \
-             did not, a longer --reorder-us puts events in order",
+        lines.push(format!(
+            "the clock began anew, times that it did: {}; what was written is of {} runs and holds all events; where \
+             the clock is one and events came late, a longer --reorder-us puts them in order",
+            order.runs - 1,
             order.runs
         ));
     }
     if order.events_late > 0 {
-        warn(&format!(
-            "{device}: {} of {} events came too late and are in no frame: give a longer --reorder-us",
+        lines.push(format!(
+            "{} of {} events came too late and are in no frame: give a longer --reorder-us",
             order.events_late, order.events
         ));
     }
+    lines
 }
 
 /// The order of what was written, for people.
@@ -320,5 +334,38 @@ impl Report {
             }
         }
         table
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn disorder_is_told_with_its_counts() {
+        let order = |runs, events_late| Order {
+            events: 20,
+            runs,
+            events_late,
+        };
+        assert!(disorder(&order(1, 0)).is_empty());
+        let [runs, late] = <[String; 2]>::try_from(disorder(&order(3, 4))).unwrap();
+        assert!(
+            runs.contains("it did: 2;") && runs.contains("3 runs"),
+            "{runs}"
+        );
+        assert!(late.contains("4 of 20 events"), "{late}");
+        let table = order_rows(&order(3, 4));
+        assert_eq!(table, "runs of the clock  3\nevents late        4\n");
+    }
+
+    #[test]
+    fn one_place_is_found_before_it_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir(at("sub")).unwrap();
+        assert!(is_one_place(&at("a.raw"), &at("sub/../a.raw")));
+        assert!(!is_one_place(&at("a.raw"), &at("sub/a.raw")));
+        assert!(!is_one_place(&at("none/a.raw"), &at("gone/a.raw")));
     }
 }
