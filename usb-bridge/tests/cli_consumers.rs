@@ -20,13 +20,14 @@ struct Datagram {
 }
 
 /// All datagrams of a stream of frames, those of its end at last.
-fn datagrams(folder: &Folder) -> (Vec<Datagram>, Vec<Vec<u8>>) {
+fn datagrams(folder: &Folder, more: &[&str]) -> (Vec<Datagram>, Vec<Vec<u8>>) {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     socket
         .set_read_timeout(Some(Duration::from_secs(30)))
         .unwrap();
     let to = format!("udp://{}", socket.local_addr().unwrap());
-    let child = folder.start(&["forward", "--device", CAMERA, "--to", &to, "--json"]);
+    let forward = ["forward", "--device", CAMERA, "--to", &to, "--json"];
+    let child = folder.start(&[&forward[..], more].concat());
     let (mut parts, mut ends) = (Vec::new(), Vec::new());
     while ends.len() < 3 {
         let mut bytes = vec![0; 2000];
@@ -51,7 +52,7 @@ fn datagrams(folder: &Folder) -> (Vec<Datagram>, Vec<Vec<u8>>) {
 #[test]
 fn what_datagrams_lose_is_counted_to_the_datagram_and_the_message() {
     let folder = Folder::new();
-    let (parts, ends) = datagrams(&folder);
+    let (parts, ends) = datagrams(&folder, &[]);
     let messages = parts.last().unwrap().message + 1;
     let begins: Vec<usize> = (0..parts.len()).filter(|at| parts[*at].begins).collect();
     assert!(messages >= 5 && begins[2] + 2 < begins[3], "{begins:?}");
@@ -127,22 +128,30 @@ fn what_datagrams_lose_is_counted_to_the_datagram_and_the_message() {
 #[test]
 fn a_sender_that_was_killed_and_the_next_one_are_told_apart() {
     let folder = Folder::new();
-    let (first, _) = datagrams(&folder);
-    let (second, ends) = datagrams(&folder);
+    let (first, _) = datagrams(&folder, &[]);
+    let (second, ends) = datagrams(&folder, &[]);
     let port = free_port();
     let from = format!("udp://127.0.0.1:{port}");
     let receiver = folder.start(&["receive", &from, "-o", "a.eecvs", "--once", "--json"]);
     listening(port, "udp");
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let cut = first.iter().position(|part| part.message == 3).unwrap() + 1;
-    let all = first[..cut].iter().chain(&second).map(|part| &part.bytes);
-    for datagram in all.chain(&ends) {
+    for part in &first[..cut] {
+        socket.send_to(&part.bytes, ("127.0.0.1", port)).unwrap();
+    }
+    // Another one does not get in between.
+    socket
+        .send_to(&second[0].bytes, ("127.0.0.1", port))
+        .unwrap();
+    std::thread::sleep(Duration::from_millis(1200));
+    for datagram in second.iter().map(|part| &part.bytes).chain(&ends) {
         socket.send_to(datagram, ("127.0.0.1", port)).unwrap();
     }
     let output = receiver.wait_with_output().unwrap();
     let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert_eq!(said["senders"], 2, "{said}");
+    assert_eq!(said["late_datagrams"], 1, "{said}");
     assert_eq!(said["lost_messages"], 1, "{said}");
     assert_eq!(said["lost_datagrams"], 0, "{said}");
     let messages = second.last().unwrap().message + 1;
@@ -152,7 +161,7 @@ fn a_sender_that_was_killed_and_the_next_one_are_told_apart() {
 #[test]
 fn what_is_coming_when_the_end_is_wished_for_is_not_lost() {
     let folder = Folder::new();
-    let (parts, _) = datagrams(&folder);
+    let (parts, _) = datagrams(&folder, &[]);
     let port = free_port();
     let from = format!("udp://127.0.0.1:{port}");
     let receiver = folder.start(&[
@@ -550,4 +559,29 @@ fn a_region_and_pixels_outside_of_the_sensor_are_refused_with_its_size() {
             "{said}"
         );
     }
+}
+
+/// A recording lacks more than the frames that are lost, where others go on from them.
+#[test]
+fn what_a_lost_frame_takes_with_it_is_told() {
+    let folder = Folder::new();
+    let (parts, ends) = datagrams(&folder, &["--coder", "dense"]);
+    let port = free_port();
+    let from = format!("udp://127.0.0.1:{port}");
+    let receiver = folder.start(&["receive", &from, "-o", "a.aedat4", "--once", "--json"]);
+    listening(port, "udp");
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let kept = parts.iter().filter(|part| part.message != 2);
+    for datagram in kept.map(|part| &part.bytes).chain(&ends) {
+        socket.send_to(datagram, ("127.0.0.1", port)).unwrap();
+    }
+    let output = receiver.wait_with_output().unwrap();
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{errors}");
+    assert_eq!(said["lost_messages"], 1, "{said}");
+    let cause = "frames without those they go on from";
+    let messages = parts.last().unwrap().message + 1;
+    assert_eq!(said["left_out"][cause], messages - 3, "{said}");
+    assert!(errors.contains(cause), "{errors}");
 }

@@ -100,5 +100,14 @@ fn table(received: &Received) -> String {
             ("receive buffer, bytes", bytes.to_string()),
         ]);
     }
-    rows(lines)
+    let mut table = rows(lines);
+    if !received.left_out.is_empty() {
+        let counts = received.left_out.iter();
+        let counts = counts.map(|(cause, n)| (*cause, n.to_string()));
+        table += "left out\n";
+        for line in rows(counts).lines() {
+            table += &format!("  {line}\n");
+        }
+    }
+    table
 }

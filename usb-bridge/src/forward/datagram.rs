@@ -6,7 +6,7 @@
 //! | 2 | sync EE C9 |
 //! | 1 | version, 1 |
 //! | 1 | flags: bit 0 a message begins with the part, bit 1 the stream ends |
-//! | 4 | stream: a number that is chosen anew whenever a sender starts, or finds that nobody listened |
+//! | 4 | stream: a number that is chosen anew whenever a sender starts; one more where it found that nobody listened |
 //! | 4 | number of the datagram in the stream, from 0, wrapping |
 //! | 4 | number of its message in the stream, from 0, wrapping; at the end the number of messages |
 //! | n | the next bytes of the message, 1 to [`PART_BYTES_MAX`]; none at the end |
@@ -57,6 +57,11 @@ impl Cutter {
             number: 0,
             message: 0,
         }
+    }
+
+    /// Begins the sender's next stream.
+    pub const fn begin_anew(&mut self) {
+        *self = Self::new(self.stream.wrapping_add(1));
     }
 
     /// Whether nothing was cut yet.
@@ -127,7 +132,7 @@ pub enum Part<'d> {
         /// What came, or did not, before.
         before: Before,
     },
-    /// A datagram that came twice or late.
+    /// A datagram that came twice or late, or of a stream that is not the one that comes.
     Late,
     /// Not a datagram of a stream.
     Strange,
@@ -151,8 +156,9 @@ pub struct Joiner {
 }
 
 impl Joiner {
-    /// Takes a datagram.
-    pub fn join<'d>(&mut self, datagram: &'d [u8]) -> Part<'d> {
+    /// Takes a datagram. The next stream of the same sender goes on from the one that comes; that of another one
+    /// only where `may_change`.
+    pub fn join<'d>(&mut self, datagram: &'d [u8], may_change: bool) -> Part<'d> {
         let Ok((head, bytes)) = Head::ref_from_prefix(datagram) else {
             return Part::Strange;
         };
@@ -163,6 +169,10 @@ impl Joiner {
         }
         let (stream, number) = (head.stream.get(), head.number.get());
         let is_new = self.stream != Some(stream);
+        let is_next = |current: u32| stream == current.wrapping_add(1);
+        if is_new && !may_change && !self.stream.is_none_or(is_next) {
+            return Part::Late;
+        }
         let missing = if is_new {
             number
         } else {
@@ -288,11 +298,14 @@ mod tests {
                 is_new: false,
             },
         };
-        assert_eq!(joiner.join(&datagrams[0]), of(0, true, 0, 1));
-        assert_eq!(joiner.join(&datagrams[1]), of(1, true, 0, PART_BYTES_MAX));
-        assert_eq!(joiner.join(&datagrams[1]), Part::Late);
-        assert_eq!(joiner.join(&datagrams[4]), of(3, true, 2, 1));
-        assert_eq!(joiner.join(&datagrams[2]), Part::Late);
+        assert_eq!(joiner.join(&datagrams[0], false), of(0, true, 0, 1));
+        assert_eq!(
+            joiner.join(&datagrams[1], false),
+            of(1, true, 0, PART_BYTES_MAX)
+        );
+        assert_eq!(joiner.join(&datagrams[1], false), Part::Late);
+        assert_eq!(joiner.join(&datagrams[4], false), of(3, true, 2, 1));
+        assert_eq!(joiner.join(&datagrams[2], false), Part::Late);
         let end = |missing| Part::End {
             messages: 5,
             before: Before {
@@ -300,31 +313,41 @@ mod tests {
                 is_new: false,
             },
         };
-        assert_eq!(joiner.join(&datagrams[6]), end(1));
-        assert_eq!(joiner.join(&datagrams[6]), end(0));
+        assert_eq!(joiner.join(&datagrams[6], false), end(1));
+        assert_eq!(joiner.join(&datagrams[6], false), end(0));
         let mut other = Vec::new();
         Cutter::new(8).end(&mut other);
         let before = Before {
             missing: 0,
             is_new: true,
         };
+        assert_eq!(joiner.join(&other, false), Part::Late);
         assert_eq!(
-            joiner.join(&other),
+            joiner.join(&other, true),
             Part::End {
                 messages: 0,
                 before
             }
         );
+        // The next one of the same sender is taken at once.
+        let mut next = Vec::new();
+        let mut cutter = Cutter::new(8);
+        cutter.begin_anew();
+        cutter.end(&mut next);
+        assert!(matches!(joiner.join(&next, false), Part::End { .. }));
         // A datagram without a part, the end with one, one that is too long, another version.
         let datagram = &datagrams[5];
-        assert_eq!(joiner.join(&datagram[..HEAD_BYTES]), Part::Strange);
-        assert_eq!(joiner.join(&[&other[..], &[1]].concat()), Part::Strange);
+        assert_eq!(joiner.join(&datagram[..HEAD_BYTES], true), Part::Strange);
+        assert_eq!(
+            joiner.join(&[&other[..], &[1]].concat(), true),
+            Part::Strange
+        );
         let long = [&datagram[..], &[0; PART_BYTES_MAX]].concat();
-        assert_eq!(joiner.join(&long), Part::Strange);
+        assert_eq!(joiner.join(&long, true), Part::Strange);
         let mut version = datagram.clone();
         version[2] = 2;
-        assert_eq!(joiner.join(&version), Part::Strange);
-        assert_eq!(joiner.join(&[]), Part::Strange);
+        assert_eq!(joiner.join(&version, true), Part::Strange);
+        assert_eq!(joiner.join(&[], true), Part::Strange);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Frames and packets of a link to a file.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -32,7 +33,7 @@ pub struct Limits {
 }
 
 /// What was received.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Received {
     /// Frames and packets.
     pub messages: u64,
@@ -58,6 +59,9 @@ pub struct Received {
     pub receive_buffer_bytes: Option<usize>,
     /// Senders, one after the other.
     pub senders: u64,
+    /// What a recording lacks though its messages came, by cause: as the frames themselves say, or words that
+    /// could not be used.
+    pub left_out: BTreeMap<&'static str, u64>,
 }
 
 impl Received {
@@ -82,6 +86,7 @@ impl Received {
         ]
         .into_iter()
         .filter(|(n, _)| *n > 0)
+        .chain(self.left_out.iter().map(|(what, n)| (*n, *what)))
         .map(|(n, what)| format!("{what}: {n}"))
         .collect();
         if met.is_empty() {
@@ -223,7 +228,7 @@ impl Receiver<'_> {
                     if link.senders() != senders {
                         // A sender that was started anew counts from 0.
                         self.numbers.sequence = Sequence::new();
-                        self.parser = None;
+                        self.let_go();
                     }
                     false
                 }
@@ -325,6 +330,7 @@ impl Receiver<'_> {
         let Some(parser) = parser else {
             bail!("packets of {encoding}, which this version does not know: use a newer one");
         };
+        self.let_go();
         self.parser = Some((encoding.to_owned(), sensor, parser));
         Ok(true)
     }
@@ -344,7 +350,17 @@ impl Receiver<'_> {
         writer.write(&self.events)
     }
 
+    /// Is done with the parser, and keeps what it has found.
+    fn let_go(&mut self) {
+        if let Some((_, _, parser)) = self.parser.take() {
+            for (cause, n) in parser.losses().iter() {
+                *self.received.left_out.entry(cause).or_default() += n;
+            }
+        }
+    }
+
     fn finish(&mut self) -> Result<()> {
+        self.let_go();
         match std::mem::replace(&mut self.output, Output::Events(None)) {
             Output::Frames(mut file) => file
                 .flush()

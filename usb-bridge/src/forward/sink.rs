@@ -93,7 +93,7 @@ impl Sink {
                 });
                 if sent.is_err() {
                     // Nobody had the stream so far: whoever comes gets one from its beginning.
-                    *cutter = Cutter::new(stream_number());
+                    cutter.begin_anew();
                 }
                 sent.and(dropped)
             }

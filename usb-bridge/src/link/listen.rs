@@ -4,6 +4,9 @@
 //! none, the first that sends anything. It stays the sender until it goes. As long as no message came from it,
 //! another one that begins as a message does takes its place, if it began otherwise or has been silent for a
 //! second. All others wait, at most [`WAITING_MAX`]; beyond, the oldest that has sent nothing is closed.
+//!
+//! Of datagrams, a stream is the sender's until its end has come, or nothing has for a second. Those of others are
+//! left out until then, and counted.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read};
@@ -114,6 +117,7 @@ struct Datagrams {
     /// Parts are left out until a message begins.
     is_cut: bool,
     has_ended: bool,
+    heard: Instant,
     /// Bytes that came, until the loss before them has been told.
     held: Option<usize>,
 }
@@ -168,6 +172,7 @@ impl Datagrams {
             cut_bytes: 0,
             is_cut: false,
             has_ended: false,
+            heard: Instant::now(),
             held: None,
         })
     }
@@ -208,7 +213,8 @@ impl Datagrams {
                 Err(error) if is_pause(&error) => return Ok(None),
                 Err(error) => return Err(error),
             };
-            let (before, part) = match self.joiner.join(&buffer[..length]) {
+            let may_change = self.has_ended || self.heard.elapsed() > SILENCE;
+            let (before, part) = match self.joiner.join(&buffer[..length], may_change) {
                 Part::Of {
                     message,
                     begins,
@@ -226,6 +232,7 @@ impl Datagrams {
                     continue;
                 }
             };
+            self.heard = Instant::now();
             self.lost += u64::from(before.missing);
             let Some((message, begins, part_bytes)) = part else {
                 return Ok(None);
