@@ -11,6 +11,7 @@ use anyhow::{Context, Result, anyhow};
 use eecvs_nostd::Event;
 use eecvs_nostd::frame::Header as FrameHeader;
 use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
+use host_harness::formats::intact::Intact;
 use host_harness::formats::{self, EventReader, Pause};
 use host_harness::output;
 
@@ -199,28 +200,51 @@ pub fn events(
     outcome.and(finished)
 }
 
-/// Writes frames until the stream ends or fails; those before a failure are in the file.
+/// What is known of what was written, also where the stream failed.
+#[derive(Debug, Default)]
+pub struct Kept {
+    /// Its order.
+    pub order: Order,
+    /// How it was encoded, where this program did that.
+    pub encoding: Option<EncodeSummary>,
+}
+
+/// Encodes events into frames, each written with one `write_all`, until the stream ends or fails. All events
+/// before a failure are in frames, and `kept` says what they are.
 ///
 /// # Errors
-/// The link, the file, a configuration that cannot run.
+/// The link, the output, a configuration that cannot run.
+pub fn encode_live(
+    reader: Box<dyn EventReader>,
+    codec: Codec<'_>,
+    limits: Limits,
+    out: &mut dyn Write,
+    kept: &mut Kept,
+) -> Result<()> {
+    let mut reader = Intact::new(reader);
+    let threads = NonZeroUsize::MIN;
+    let summary = encode(&mut reader, codec, limits, threads, out, &mut |_| {})?;
+    kept.order = Order::from(&summary);
+    kept.encoding = Some(summary);
+    reader.damage().map_or(Ok(()), Err)
+}
+
+/// Writes frames to a file, as [`encode_live`].
+///
+/// # Errors
+/// As there; the message names the file.
 pub fn frames(
-    reader: &mut dyn EventReader,
+    reader: Box<dyn EventReader>,
     codec: Codec<'_>,
     limits: Limits,
     path: &Path,
-) -> Result<EncodeSummary> {
+    kept: &mut Kept,
+) -> Result<()> {
     let mut out = create(path)?;
-    let encoded = encode(
-        reader,
-        codec,
-        limits,
-        NonZeroUsize::MIN,
-        &mut out,
-        &mut |_| {},
-    );
+    let encoded = encode_live(reader, codec, limits, &mut out, kept);
     let flushed = flush(&mut out, path);
-    let summary = encoded.with_context(|| path.display().to_string())?;
-    flushed.map(|()| summary)
+    encoded.with_context(|| path.display().to_string())?;
+    flushed
 }
 
 /// Writes the frames of an encoder as they are, each with one `write_all`, until the stream ends or fails, and
@@ -298,7 +322,12 @@ pub fn flush(out: &mut dyn Write, path: &Path) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use eecvs_nostd::Polarity;
+    use clap::Parser;
+    use eecvs_nostd::{Polarity, Sensor};
+    use host_harness::cmd::encode::CodecOptions;
+    use host_harness::decode::WindowReader;
+    use host_harness::formats::Skipped;
+    use host_harness::frame_file::FrameReader;
 
     #[test]
     fn a_time_that_falls_back_further_than_is_put_in_order_begins_a_run() {
@@ -316,5 +345,77 @@ mod tests {
         order.events(&[at(89), at(99)], &mut latest_us, 10);
         order.events(&[at(100), at(0)], &mut latest_us, 10);
         assert_eq!((order.runs, order.events), (3, 7));
+    }
+
+    /// Gives events once, and fails then.
+    struct Failing(Vec<Event>, Skipped);
+
+    impl EventReader for Failing {
+        fn format(&self) -> &'static str {
+            "failing"
+        }
+
+        fn sensor(&self) -> Sensor {
+            Sensor {
+                width: 8,
+                height: 8,
+            }
+        }
+
+        fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+            match std::mem::take(&mut self.0) {
+                given if given.is_empty() => Err(anyhow!("unplugged")),
+                mut given => {
+                    events.append(&mut given);
+                    Ok(1)
+                }
+            }
+        }
+
+        fn pause(&self) -> Pause {
+            Pause::Until(0)
+        }
+
+        fn skipped(&self) -> &Skipped {
+            &self.1
+        }
+    }
+
+    #[derive(Parser)]
+    struct Options {
+        #[command(flatten)]
+        codec: CodecOptions,
+    }
+
+    #[test]
+    fn what_came_before_a_failure_is_in_frames_and_told() {
+        let at = |t_us| Event {
+            t_us,
+            x: 1,
+            y: 2,
+            polarity: Polarity::Off,
+        };
+        let events = vec![at(100_000), at(100_001), at(5), at(6), at(7)];
+        let reader = Failing(events, Skipped::default());
+        let config = Options::parse_from(["encode"])
+            .codec
+            .config(reader.sensor());
+        let (mut out, mut kept) = (Vec::new(), Kept::default());
+        let error = encode_live(
+            Box::new(reader),
+            Codec::from(config.unwrap()),
+            Limits::default(),
+            &mut out,
+            &mut kept,
+        );
+        assert_eq!(error.unwrap_err().to_string(), "unplugged");
+        assert_eq!((kept.order.events, kept.order.runs), (5, 2));
+        assert_eq!(kept.encoding.unwrap().events_encoded, 5);
+        let mut windows = WindowReader::new(FrameReader::new(&out[..]));
+        let mut events = 0;
+        while let Some(window) = windows.next_window().unwrap() {
+            events += window.events.len();
+        }
+        assert_eq!(events, 5);
     }
 }

@@ -18,7 +18,7 @@ use super::options::{
     DeviceOptions, StreamOptions, check_region, order_rows, warn_of_losses, warn_of_order,
 };
 use super::tell::{Telling, is_closed_pipe};
-use crate::record::{self, Kind, Order};
+use crate::record::{self, Kept, Kind, Order};
 use crate::session::{Report, Session};
 use crate::stop::Stop;
 
@@ -94,16 +94,14 @@ impl Capture {
             self.stream.limits(),
         )?;
         let over = Stop::default();
-        let mut order = Order::default();
-        let (encoding, outcome) = thread::scope(|scope| {
+        let mut kept = Kept::default();
+        let outcome = thread::scope(|scope| {
             scope.spawn(|| show(&session, &over));
-            let outcome = self.keep(kind, &session, &mut order);
+            let outcome = self.keep(kind, &session, &mut kept);
             over.ask();
-            match outcome {
-                Ok(encoding) => (encoding, Ok(())),
-                Err(error) => (None, Err(error)),
-            }
+            outcome
         });
+        let Kept { order, encoding } = kept;
         let (report, unstopped) = session.finish();
         warn_of_losses(&report);
         warn_of_order(&report, &order);
@@ -111,7 +109,7 @@ impl Capture {
             json: self.stream.json,
             is_stdout_taken: is_stdout(&self.output) || self.device.place().is_on_stdout(),
         };
-        let has_order = kind != Kind::Stream && outcome.is_ok();
+        let has_order = kind != Kind::Stream && (outcome.is_ok() || order.runs > 0);
         let summary = Summary {
             file: self.output,
             session: report,
@@ -136,51 +134,37 @@ impl Capture {
     }
 
     /// Records into a file that has its name when the stream ended as it should.
-    fn keep(
-        &self,
-        kind: Kind,
-        session: &Session,
-        order: &mut Order,
-    ) -> Result<Option<EncodeSummary>> {
+    fn keep(&self, kind: Kind, session: &Session, kept: &mut Kept) -> Result<()> {
         let output = Output::begin_live(&self.output, self.overwrite)?;
-        let outcome = self.record(kind, session, output.path(), order);
+        let outcome = self.record(kind, session, output.path(), kept);
         keep_or_mark(output, outcome)
     }
 
-    fn record(
-        &self,
-        kind: Kind,
-        session: &Session,
-        path: &Path,
-        order: &mut Order,
-    ) -> Result<Option<EncodeSummary>> {
+    fn record(&self, kind: Kind, session: &Session, path: &Path, kept: &mut Kept) -> Result<()> {
         match kind {
-            Kind::Stream => record::stream(session, path).map(|()| None),
+            Kind::Stream => record::stream(session, path),
             Kind::Events => {
                 let mut reader = session.reader_of_sensor()?;
                 let reorder_us = self.limits.limits().reorder_us.unwrap_or(REORDER_LIVE_US);
-                record::events(&mut reader, path, reorder_us, order).map(|()| None)
+                record::events(&mut reader, path, reorder_us, &mut kept.order)
             }
             Kind::Frames if self.device.sets_up() => {
                 let mut out = record::create(path)?;
-                let kept = record::encoders_frames(session, &mut out, order);
-                let flushed = record::flush(&mut out, path);
-                kept.and(flushed).map(|()| None)
+                let written = record::encoders_frames(session, &mut out, &mut kept.order);
+                written.and(record::flush(&mut out, path))
             }
             Kind::Frames => {
                 let reader: Box<dyn EventReader> = Box::new(session.reader_of_sensor()?);
                 let config = self.codec.config(reader.sensor())?;
                 check_region(&config)?;
-                let (mut reader, config) = self.codec.look(reader, config);
+                let (reader, config) = self.codec.look(reader, config);
                 let hot = self.codec.hot_pixels(reader.sensor())?;
                 let codec = Codec {
                     hot: &hot,
                     ..Codec::from(config)
                 };
                 let limits = self.limits.limits();
-                let summary = record::frames(reader.as_mut(), codec, limits, path)?;
-                *order = Order::from(&summary);
-                Ok(Some(summary))
+                record::frames(reader, codec, limits, path, kept)
             }
         }
     }

@@ -1,6 +1,5 @@
 //! `eecvs-usb forward`: a device's stream to many consumers at once.
 
-use std::num::NonZeroUsize;
 use std::path::Path;
 use std::time::Duration;
 
@@ -9,7 +8,7 @@ use clap::{Args, ValueEnum};
 use eecvs_nostd::Event;
 use host_harness::cmd::encode::{CodecOptions, LimitOptions};
 use host_harness::cmd::output::rows;
-use host_harness::encode::{Codec, EncodeSummary, encode};
+use host_harness::encode::{Codec, EncodeSummary};
 use host_harness::formats::EventReader;
 use host_harness::output::{self, Kind, is_stdout};
 use serde::Serialize;
@@ -24,7 +23,7 @@ use crate::forward::consumer::Report as ConsumerReport;
 use crate::forward::fan_out::{FanOut, NobodyLeft};
 use crate::forward::packetise::Packetiser;
 use crate::queue::Taken;
-use crate::record::{self, Order};
+use crate::record::{self, Kept, Order};
 use crate::session::{Report, Session};
 use crate::stop::Stop;
 
@@ -117,21 +116,15 @@ impl Forward {
             &stop,
             self.stream.limits(),
         )?;
-        let mut order = Order::default();
-        let (encoding, outcome) = match self.what {
-            What::Raw => (None, raw(&session, &mut fan_out)),
+        let mut kept = Kept::default();
+        let outcome = match self.what {
+            What::Raw => raw(&session, &mut fan_out),
             What::Frames if self.device.sets_up() => {
-                let kept = record::encoders_frames(&session, &mut fan_out, &mut order);
-                (None, kept)
+                record::encoders_frames(&session, &mut fan_out, &mut kept.order)
             }
-            What::Frames => match self.frames(&session, &mut fan_out) {
-                Ok(summary) => {
-                    order = Order::from(&summary);
-                    (Some(summary), Ok(()))
-                }
-                Err(error) => (None, Err(error)),
-            },
+            What::Frames => self.frames(&session, &mut fan_out, &mut kept),
         };
+        let Kept { order, encoding } = kept;
         // What ended the consumers is said for each of them.
         let outcome = outcome.or_else(|error| match NobodyLeft::is_cause_of(&error) {
             true => Ok(()),
@@ -149,7 +142,7 @@ impl Forward {
                 None => {}
             }
         }
-        let has_order = self.what == What::Frames && outcome.is_ok();
+        let has_order = self.what == What::Frames && (outcome.is_ok() || order.runs > 0);
         let summary = Summary {
             session: report,
             runs: has_order.then_some(order.runs),
@@ -201,24 +194,17 @@ impl Forward {
         place.check_trace(self.overwrite, &files, &read)
     }
 
-    fn frames(&self, session: &Session, fan_out: &mut FanOut) -> Result<EncodeSummary> {
+    fn frames(&self, session: &Session, fan_out: &mut FanOut, kept: &mut Kept) -> Result<()> {
         let reader: Box<dyn EventReader> = Box::new(session.reader_of_sensor()?);
         let config = self.codec.config(reader.sensor())?;
         check_region(&config)?;
-        let (mut reader, config) = self.codec.look(reader, config);
+        let (reader, config) = self.codec.look(reader, config);
         let hot = self.codec.hot_pixels(reader.sensor())?;
         let codec = Codec {
             hot: &hot,
             ..Codec::from(config)
         };
-        encode(
-            reader.as_mut(),
-            codec,
-            self.limits.limits(),
-            NonZeroUsize::MIN,
-            fan_out,
-            &mut |_| {},
-        )
+        record::encode_live(reader, codec, self.limits.limits(), fan_out, kept)
     }
 }
 
