@@ -150,7 +150,7 @@ impl Capture {
             }
             Kind::Frames if self.device.sets_up() => {
                 let mut out = record::create(path)?;
-                let written = record::encoders_frames(session, &mut out, &mut kept.order);
+                let written = record::encoders_frames_in_order(session, &mut out, &mut kept.order);
                 written.and(record::flush(&mut out, path))
             }
             Kind::Frames => {

@@ -120,7 +120,7 @@ impl Forward {
         let outcome = match self.what {
             What::Raw => raw(&session, &mut fan_out),
             What::Frames if self.device.sets_up() => {
-                record::encoders_frames(&session, &mut fan_out, &mut kept.order)
+                record::encoders_frames_in_order(&session, &mut fan_out, &mut kept.order)
             }
             What::Frames => self.frames(&session, &mut fan_out, &mut kept),
         };
