@@ -25,6 +25,8 @@ const PARSE_BYTES: usize = BATCH_EVENTS / EVENTS_PER_BYTE_MAX;
 pub struct Progress {
     /// Events so far.
     pub events: u64,
+    /// The sensor, as the stream tells it; nothing before the stream was looked at.
+    pub sensor: Option<Sensor>,
     /// Time of the stream so far, in the device's microseconds.
     pub time_us: Option<u64>,
     /// Words that are no events, by name.
@@ -99,6 +101,7 @@ impl Follower {
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         *progress = Progress {
             events: self.parser.events(),
+            sensor: Some(self.parser.sensor()),
             time_us: self.parser.time_us(),
             words: self.parser.words(),
             losses: self.parser.losses(),
@@ -116,6 +119,8 @@ pub struct LiveReader {
     chunk: Option<Chunk>,
     /// Bytes of the chunk that are parsed.
     used: usize,
+    /// Events that were read while the sensor was waited for.
+    ahead: Vec<Event>,
     ended: bool,
     words: Skipped,
 }
@@ -136,9 +141,24 @@ impl LiveReader {
             follower,
             chunk: None,
             used: 0,
+            ahead: Vec::new(),
             ended: false,
             words: Skipped::default(),
         }
+    }
+
+    /// Waits until the stream has told of a sensor other than `unknown`, or has ended.
+    ///
+    /// # Errors
+    /// As [`EventReader::read`].
+    pub fn wait_for_sensor(&mut self, unknown: Sensor) -> Result<()> {
+        while self.sensor() == unknown && self.ahead.is_empty() && !self.ended {
+            let mut ahead = Vec::new();
+            let read = self.read(&mut ahead);
+            self.ahead = ahead;
+            read?;
+        }
+        Ok(())
     }
 
     /// The chunk that is read now, where there is one in time.
@@ -175,6 +195,11 @@ impl EventReader for LiveReader {
     }
 
     fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        if !self.ahead.is_empty() {
+            let ahead = self.ahead.len();
+            events.append(&mut self.ahead);
+            return Ok(ahead);
+        }
         let before = events.len();
         loop {
             let chunk = match self.chunk.take() {

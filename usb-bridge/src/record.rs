@@ -3,12 +3,15 @@
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::num::NonZeroUsize;
+use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, anyhow};
 use eecvs_nostd::Event;
+use eecvs_nostd::frame::Header as FrameHeader;
 use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
+use host_harness::formats::intact::Intact;
 use host_harness::formats::{self, EventReader, Pause};
 use host_harness::output;
 
@@ -45,12 +48,15 @@ impl Kind {
     }
 }
 
-/// By extension: `.stream`, `.eecvs`, or a recording's.
+/// By extension: `.stream`, `.eecvs`, or a recording's; stdout gets frames.
 ///
 /// # Errors
 /// A format whose files cannot be read before they are complete.
 pub fn kind_of(path: &Path) -> Result<Kind> {
     let name = path.display();
+    if output::is_stdout(path) {
+        return Ok(Kind::Frames);
+    }
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("stream") => Ok(Kind::Stream),
         Some("eecvs") => Ok(Kind::Frames),
@@ -116,15 +122,64 @@ fn each_chunk(
     written
 }
 
-/// Writes events until the stream ends or fails. What came before a failure is in the file, which is
+/// What was written, and in which order of times.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Order {
+    /// Events that came.
+    pub events: u64,
+    /// Runs: 1, and 1 for each time that the clock fell back further than is put in order.
+    pub runs: u64,
+    /// Events that came too late for their window, and are in no frame.
+    pub events_late: u64,
+}
+
+impl Order {
+    /// Takes the header of a frame that is kept as it is.
+    fn frame(&mut self, header: &FrameHeader) {
+        self.events += u64::from(header.events);
+        self.events_late += u64::from(header.late);
+        self.runs = self.runs.max(1) + u64::from(header.begins_run && self.runs > 0);
+    }
+
+    /// Takes events of a recording, the latest time before which is `latest_us`.
+    fn events(&mut self, events: &[Event], latest_us: &mut u64, reorder_us: u32) {
+        self.events += events.len() as u64;
+        for event in events {
+            self.runs = self.runs.max(1);
+            if event.t_us.saturating_add(reorder_us.into()) < *latest_us {
+                self.runs += 1;
+                *latest_us = event.t_us;
+            }
+            *latest_us = event.t_us.max(*latest_us);
+        }
+    }
+}
+
+impl From<&EncodeSummary> for Order {
+    fn from(summary: &EncodeSummary) -> Self {
+        Self {
+            events: summary.events_in,
+            runs: summary.runs,
+            events_late: summary.events_late,
+        }
+    }
+}
+
+/// Writes events until the stream ends or fails, and adds to `order` what they were: runs are told apart by
+/// times that fall back by more than `reorder_us`. What came before a failure is in the file, which is
 /// closed in order where that is still possible.
 ///
 /// # Errors
 /// The link, the file; the message names it.
-pub fn events(reader: &mut dyn EventReader, path: &Path) -> Result<u64> {
+pub fn events(
+    reader: &mut dyn EventReader,
+    path: &Path,
+    reorder_us: u32,
+    order: &mut Order,
+) -> Result<()> {
     let mut writer = formats::create_in_place(path, reader.sensor())?;
     let mut batch: Vec<Event> = Vec::with_capacity(formats::BATCH_EVENTS);
-    let mut written = 0;
+    let mut latest_us = 0;
     let outcome = loop {
         batch.clear();
         let read = reader.read(&mut batch);
@@ -133,7 +188,7 @@ pub fn events(reader: &mut dyn EventReader, path: &Path) -> Result<u64> {
             if let Err(error) = writer.write(&batch) {
                 break Err(error);
             }
-            written += batch.len() as u64;
+            order.events(&batch, &mut latest_us, reorder_us);
         }
         match read {
             Err(error) => break Err(error),
@@ -142,32 +197,54 @@ pub fn events(reader: &mut dyn EventReader, path: &Path) -> Result<u64> {
         }
     };
     let finished = writer.finish();
-    outcome.and(finished)?;
-    Ok(written)
+    outcome.and(finished)
 }
 
-/// Writes frames until the stream ends or fails; those before a failure are in the file.
+/// What is known of what was written, also where the stream failed.
+#[derive(Debug, Default)]
+pub struct Kept {
+    /// Its order.
+    pub order: Order,
+    /// How it was encoded, where this program did that.
+    pub encoding: Option<EncodeSummary>,
+}
+
+/// Encodes events into frames, each written with one `write_all`, until the stream ends or fails. All events
+/// before a failure are in frames, and `kept` says what they are.
 ///
 /// # Errors
-/// The link, the file, a configuration that cannot run.
+/// The link, the output, a configuration that cannot run.
+pub fn encode_live(
+    reader: Box<dyn EventReader>,
+    codec: Codec<'_>,
+    limits: Limits,
+    out: &mut dyn Write,
+    kept: &mut Kept,
+) -> Result<()> {
+    let mut reader = Intact::new(reader);
+    let threads = NonZeroUsize::MIN;
+    let summary = encode(&mut reader, codec, limits, threads, out, &mut |_| {})?;
+    kept.order = Order::from(&summary);
+    kept.encoding = Some(summary);
+    reader.damage().map_or(Ok(()), Err)
+}
+
+/// Writes frames to a file, as [`encode_live`].
+///
+/// # Errors
+/// As there; the message names the file.
 pub fn frames(
-    reader: &mut dyn EventReader,
+    reader: Box<dyn EventReader>,
     codec: Codec<'_>,
     limits: Limits,
     path: &Path,
-) -> Result<EncodeSummary> {
+    kept: &mut Kept,
+) -> Result<()> {
     let mut out = create(path)?;
-    let encoded = encode(
-        reader,
-        codec,
-        limits,
-        NonZeroUsize::MIN,
-        &mut out,
-        &mut |_| {},
-    );
+    let encoded = encode_live(reader, codec, limits, &mut out, kept);
     let flushed = flush(&mut out, path);
-    let summary = encoded.with_context(|| path.display().to_string())?;
-    flushed.map(|()| summary)
+    encoded.with_context(|| path.display().to_string())?;
+    flushed
 }
 
 /// Writes the frames of an encoder as they are, each with one `write_all`, until the stream ends or fails.
@@ -175,18 +252,36 @@ pub fn frames(
 /// # Errors
 /// The link, the output.
 pub fn encoders_frames(session: &Session, out: &mut dyn Write) -> Result<()> {
+    encoders_frames_in_order(session, out, &mut Order::default())
+}
+
+/// Writes frames as [`encoders_frames`], and adds to `order` what they say.
+///
+/// # Errors
+/// As there.
+pub fn encoders_frames_in_order(
+    session: &Session,
+    out: &mut dyn Write,
+    order: &mut Order,
+) -> Result<()> {
     let mut messages = Messages::default();
-    each_chunk(session, |chunk| kept(&mut messages, chunk, out))
-        .map_err(|error| anyhow!("frames cannot be written: {error}"))?;
+    each_chunk(session, |chunk| kept(&mut messages, chunk, out, order))
+        .context("frames cannot be written")?;
     session.outcome()
 }
 
 /// Writes the frames that are whole with a chunk.
-fn kept(messages: &mut Messages, chunk: &Chunk, out: &mut dyn Write) -> io::Result<()> {
+fn kept(
+    messages: &mut Messages,
+    chunk: &Chunk,
+    out: &mut dyn Write,
+    order: &mut Order,
+) -> io::Result<()> {
     let mut write = |messages: &mut Messages| {
         while let Some(message) = messages.next() {
-            if let Message::Frame { bytes, .. } = message {
+            if let Message::Frame { bytes, frame, .. } = message {
                 out.write_all(bytes)?;
+                order.frame(&frame.header);
             }
         }
         Ok::<_, io::Error>(())
@@ -207,9 +302,23 @@ fn kept(messages: &mut Messages, chunk: &Chunk, out: &mut dyn Write) -> io::Resu
 /// # Errors
 /// It cannot be created; the message names it.
 pub fn create(path: &Path) -> Result<BufWriter<File>> {
-    let file = File::create(path);
-    let file = file.with_context(|| format!("{}: cannot be created", path.display()))?;
-    Ok(BufWriter::with_capacity(1 << 16, file))
+    let file = file(path).with_context(|| format!("{}: cannot be created", path.display()))?;
+    // Whoever reads stdout gets each frame when it is written.
+    let room = if output::is_stdout(path) { 0 } else { 1 << 16 };
+    Ok(BufWriter::with_capacity(room, file))
+}
+
+/// A file to write, or stdout as it is: opened by its name, it would be written from its beginning, and a
+/// socket could not be.
+///
+/// # Errors
+/// It cannot be created.
+pub fn file(path: &Path) -> io::Result<File> {
+    if output::is_stdout(path) {
+        let stdout = io::stdout().as_fd().try_clone_to_owned()?;
+        return Ok(File::from(stdout));
+    }
+    File::create(path)
 }
 
 /// Writes what is buffered.
@@ -219,4 +328,105 @@ pub fn create(path: &Path) -> Result<BufWriter<File>> {
 pub fn flush(out: &mut dyn Write, path: &Path) -> Result<()> {
     let flushed = out.flush();
     flushed.with_context(|| format!("{}: cannot be written", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+    use eecvs_nostd::{Polarity, Sensor};
+    use host_harness::cmd::encode::CodecOptions;
+    use host_harness::decode::WindowReader;
+    use host_harness::formats::Skipped;
+    use host_harness::frame_file::FrameReader;
+
+    #[test]
+    fn a_time_that_falls_back_further_than_is_put_in_order_begins_a_run() {
+        let at = |t_us| Event {
+            t_us,
+            x: 0,
+            y: 0,
+            polarity: Polarity::On,
+        };
+        let (mut order, mut latest_us) = (Order::default(), 0);
+        order.events(&[], &mut latest_us, 10);
+        assert_eq!(order.runs, 0);
+        order.events(&[at(100), at(90), at(100)], &mut latest_us, 10);
+        assert_eq!(order.runs, 1);
+        order.events(&[at(89), at(99)], &mut latest_us, 10);
+        order.events(&[at(100), at(0)], &mut latest_us, 10);
+        assert_eq!((order.runs, order.events), (3, 7));
+    }
+
+    /// Gives events once, and fails then.
+    struct Failing(Vec<Event>, Skipped);
+
+    impl EventReader for Failing {
+        fn format(&self) -> &'static str {
+            "failing"
+        }
+
+        fn sensor(&self) -> Sensor {
+            Sensor {
+                width: 8,
+                height: 8,
+            }
+        }
+
+        fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+            match std::mem::take(&mut self.0) {
+                given if given.is_empty() => Err(anyhow!("unplugged")),
+                mut given => {
+                    events.append(&mut given);
+                    Ok(1)
+                }
+            }
+        }
+
+        fn pause(&self) -> Pause {
+            Pause::Until(0)
+        }
+
+        fn skipped(&self) -> &Skipped {
+            &self.1
+        }
+    }
+
+    #[derive(Parser)]
+    struct Options {
+        #[command(flatten)]
+        codec: CodecOptions,
+    }
+
+    #[test]
+    fn what_came_before_a_failure_is_in_frames_and_told() {
+        let at = |t_us| Event {
+            t_us,
+            x: 1,
+            y: 2,
+            polarity: Polarity::Off,
+        };
+        let events = vec![at(100_000), at(100_001), at(5), at(6), at(7)];
+        let reader = Failing(events, Skipped::default());
+        let config = Options::parse_from(["encode"])
+            .codec
+            .config(reader.sensor());
+        let (mut out, mut kept) = (Vec::new(), Kept::default());
+        let error = encode_live(
+            Box::new(reader),
+            Codec::from(config.unwrap()),
+            Limits::default(),
+            &mut out,
+            &mut kept,
+        );
+        assert_eq!(error.unwrap_err().to_string(), "unplugged");
+        assert_eq!((kept.order.events, kept.order.runs), (5, 2));
+        assert_eq!(kept.encoding.unwrap().events_encoded, 5);
+        let mut windows = WindowReader::new(FrameReader::new(&out[..]));
+        let mut events = 0;
+        while let Some(window) = windows.next_window().unwrap() {
+            events += window.events.len();
+        }
+        assert_eq!(events, 5);
+    }
 }

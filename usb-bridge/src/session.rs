@@ -8,6 +8,7 @@ use anyhow::{Context, Result};
 use host_harness::formats::Skipped;
 use serde::Serialize;
 
+use crate::device::mcu::ANY_SENSOR;
 use crate::device::{Info, Model};
 use crate::link::Link;
 use crate::link::control::Control;
@@ -117,6 +118,18 @@ impl Session {
         )
     }
 
+    /// Its events, when the sensor is known: an encoder's first frame tells which it is.
+    ///
+    /// # Errors
+    /// The link failed before.
+    pub fn reader_of_sensor(&self) -> Result<LiveReader> {
+        let mut reader = self.reader();
+        if self.info.sensor == ANY_SENSOR {
+            reader.wait_for_sensor(ANY_SENSOR)?;
+        }
+        Ok(reader)
+    }
+
     /// What follows its stream from the beginning, where [`Session::reader`] does not.
     #[must_use]
     pub fn follower(&self) -> Follower {
@@ -156,12 +169,13 @@ impl Session {
             losses.add(cause, n);
         }
         let (bytes, transfers) = account.arrived();
+        let sensor = progress.sensor.unwrap_or(self.info.sensor);
         let report = Report {
             device: self.name,
             model: self.model.name(),
             firmware: self.info.firmware.clone(),
-            width: self.info.sensor.width,
-            height: self.info.sensor.height,
+            width: sensor.width,
+            height: sensor.height,
             seconds,
             bytes,
             transfers,

@@ -1,6 +1,5 @@
 //! Devices by name: on USB, on a serial port, in a stream file, simulated.
 
-use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -19,6 +18,7 @@ use crate::link::trace::{Place, Tracer};
 use crate::link::usb::{Attached, Bus, wait_for};
 use crate::link::{Link, LinkError, Outlet, Received};
 use crate::peripheral::stream::{Pace, Recording, Sent};
+use crate::record;
 use crate::session::Source;
 use crate::stop::Stop;
 
@@ -145,7 +145,7 @@ fn tracer(options: &Options, place: Place, name: &str) -> Result<Option<Tracer>>
         return Ok(None);
     };
     let of = path.display();
-    let file = File::create(path).with_context(|| format!("{of}: cannot be created"))?;
+    let file = record::file(path).with_context(|| format!("{of}: cannot be created"))?;
     let out = Box::new(BufWriter::new(file));
     let tracer = Tracer::new(out, place, name).with_context(|| format!("{of}: cannot be written"));
     tracer.map(Some)

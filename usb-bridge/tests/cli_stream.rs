@@ -1,126 +1,17 @@
 //! `eecvs-usb capture`, `forward` and `receive` as they are called, with cameras that are simulated inside
 //! of the program.
 
+mod cli_support;
+
 use std::io::Read;
 use std::net::TcpListener;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
-use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::decode::WindowReader;
-use host_harness::formats::{self, EventWriter};
-use host_harness::frame_file::FrameReader;
-use rand_xoshiro::Xoshiro256PlusPlus;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
-
-const SENSOR: Sensor = Sensor {
-    width: 128,
-    height: 128,
+use cli_support::{
+    CAMERA, EVENTS, Folder, SENSOR, events, free_port, json, listening, read, shifted, sorted,
 };
-const EVENTS: usize = 20_000;
-
-struct Folder(tempfile::TempDir);
-
-/// Events of seeded places, from 1 ms on, over about a quarter of a second.
-fn events() -> Vec<Event> {
-    let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
-    let mut t_us = 1000;
-    (0..EVENTS)
-        .map(|_| {
-            let draw = random.next_u64();
-            t_us += (draw >> 32) % 26;
-            Event {
-                t_us,
-                x: draw as u16 % SENSOR.width,
-                y: (draw >> 16) as u16 % SENSOR.height,
-                polarity: Polarity::from_bool(draw >> 63 == 1),
-            }
-        })
-        .collect()
-}
-
-impl Folder {
-    fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("scene.raw");
-        let mut writer: Box<dyn EventWriter> = formats::create(&path, SENSOR).unwrap();
-        writer.write(&events()).unwrap();
-        writer.finish().unwrap();
-        Self(folder)
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_eecvs-usb"));
-        command.current_dir(&self.0).args(arguments);
-        command
-    }
-
-    fn run(&self, arguments: &[&str]) -> Output {
-        self.command(arguments).output().unwrap()
-    }
-
-    fn start(&self, arguments: &[&str]) -> Child {
-        let mut command = self.command(arguments);
-        command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        command.spawn().unwrap()
-    }
-
-    /// Its JSON, where it succeeds.
-    fn json(&self, arguments: &[&str]) -> serde_json::Value {
-        json(&self.run(arguments))
-    }
-}
-
-fn json(output: &Output) -> serde_json::Value {
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{errors}");
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
-/// All events of a recording, or of frames, in the order of their times and places.
-fn read(path: &Path) -> Vec<Event> {
-    let mut events = Vec::new();
-    if path
-        .extension()
-        .is_some_and(|extension| extension == "eecvs")
-    {
-        let mut windows = WindowReader::new(FrameReader::open(path).unwrap());
-        while let Some(window) = windows.next_window().unwrap() {
-            events.extend(window.events);
-        }
-    } else {
-        let mut reader = formats::open(path, None).unwrap();
-        while reader.read(&mut events).unwrap() > 0 {}
-    }
-    sorted(events)
-}
-
-fn sorted(mut events: Vec<Event>) -> Vec<Event> {
-    events.sort_unstable();
-    events
-}
-
-/// Its events, with the first at the same time as the scene's: a camera's clock begins where it likes.
-fn shifted(mut events: Vec<Event>) -> Vec<Event> {
-    let first = events.first().map_or(0, |event| event.t_us);
-    let own = self::events()[0].t_us;
-    for event in &mut events {
-        event.t_us = event.t_us - first + own;
-    }
-    events
-}
-
-fn free_port() -> u16 {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    listener.local_addr().unwrap().port()
-}
-
-const CAMERA: &str = "sim:dvs128:scene.raw";
+use host_harness::formats;
 
 #[test]
 fn every_kind_of_file_has_every_event() {
@@ -358,9 +249,6 @@ fn what_cannot_be_is_one_line_and_exit_status_1() {
     );
     refused(&["mcu", "--device", encoder], "takes events");
     refused(&["mcu", "--device", "serial:/dev/none"], "/dev/none");
-    let port = free_port();
-    let nobody = format!("tcp://127.0.0.1:{port}");
-    refused(&["forward", "--device", CAMERA, "--to", &nobody], &nobody);
     refused(
         &["receive", "tcp://192.0.2.1:9", "-o", "a.eecvs"],
         "192.0.2.1:9",
@@ -377,19 +265,6 @@ fn what_cannot_be_is_one_line_and_exit_status_1() {
         assert_eq!(usage(&arguments), Some(2), "{size}");
     }
     assert!(!folder.path("a.npz").exists());
-}
-
-/// Waits until somebody listens: to try the port itself would be to take it from who is about to.
-fn listening(port: u16, kind: &str) {
-    let until = Instant::now() + Duration::from_secs(20);
-    let local = format!(": 0100007F:{port:04X} ");
-    while !std::fs::read_to_string(format!("/proc/net/{kind}"))
-        .unwrap()
-        .contains(&local)
-    {
-        assert!(Instant::now() < until, "nobody listens");
-        std::thread::sleep(Duration::from_millis(10));
-    }
 }
 
 #[test]
@@ -451,10 +326,13 @@ fn a_consumer_that_takes_nothing_is_reported_and_the_file_is_whole() {
         "file:a.eecvs",
         "--to",
         "-",
+        "--json",
     ]);
     assert!(output.status.success(), "{output:?}");
     assert_eq!(shifted(read(&folder.path("a.eecvs"))), sorted(events()));
-    // Standard output has the same frames, and nothing else.
+    // Standard output has the same frames, and nothing else; what is said of them is on stderr.
+    let said: serde_json::Value = serde_json::from_slice(&output.stderr).unwrap();
+    assert_eq!(said["consumers"][2]["sent"]["events"], EVENTS, "{said}");
     assert_eq!(
         output.stdout,
         std::fs::read(folder.path("a.eecvs")).unwrap()

@@ -8,15 +8,17 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use clap::Args;
 use host_harness::cmd::encode::{CodecOptions, LimitOptions};
-use host_harness::cmd::output::{print, print_json};
-use host_harness::encode::{Codec, EncodeSummary};
+use host_harness::encode::{Codec, EncodeSummary, REORDER_LIVE_US};
 use host_harness::formats::EventReader;
-use host_harness::output::{Output, keep_or_mark};
+use host_harness::output::{Output, is_stdout, keep_or_mark};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use serde::Serialize;
 
-use super::options::{DeviceOptions, StreamOptions, warn_of_losses};
-use crate::record::{self, Kind};
+use super::options::{
+    DeviceOptions, StreamOptions, check_region, order_rows, warn_of_losses, warn_of_order,
+};
+use super::tell::{Telling, is_closed_pipe};
+use crate::record::{self, Kept, Kind, Order};
 use crate::session::{Report, Session};
 use crate::stop::Stop;
 
@@ -24,7 +26,8 @@ use crate::stop::Stop;
 #[derive(Debug, Args)]
 pub struct Capture {
     /// File to write; its extension says what: .stream (the device's own bytes, with arrival times),
-    /// .eecvs (frames), or a format of recordings: .raw, .aedat4, .csv, ...
+    /// .eecvs (frames), or a format of recordings: .raw, .aedat4, .csv, ...; - is standard output, which gets
+    /// frames
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
 
@@ -55,6 +58,12 @@ struct Summary {
     file: PathBuf,
     #[serde(flatten)]
     session: Report,
+    /// Runs of the clock in the file; nothing of a .stream.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    runs: Option<u64>,
+    /// Events that came too late and are in no frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    events_late: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     encoding: Option<EncodeSummary>,
 }
@@ -73,6 +82,9 @@ impl Capture {
             self.output.display()
         );
         kind.check(&self.output, self.overwrite, &self.inputs())?;
+        let files: Vec<&Path> = self.codec.files().collect();
+        let place = self.device.place();
+        place.check_trace(self.overwrite, &[&self.output], &files)?;
         let stop = Stop::on_signals()?;
         let source = self.device.open(&self.codec, &stop)?;
         let session = Session::start(
@@ -82,66 +94,89 @@ impl Capture {
             self.stream.limits(),
         )?;
         let over = Stop::default();
-        let (encoding, outcome) = thread::scope(|scope| {
+        let mut kept = Kept::default();
+        let outcome = thread::scope(|scope| {
             scope.spawn(|| show(&session, &over));
-            let outcome = self.keep(kind, &session);
+            let outcome = self.keep(kind, &session, &mut kept);
             over.ask();
-            match outcome {
-                Ok(encoding) => (encoding, Ok(())),
-                Err(error) => (None, Err(error)),
-            }
+            outcome
         });
+        let Kept { order, encoding } = kept;
         let (report, unstopped) = session.finish();
         warn_of_losses(&report);
+        warn_of_order(&report, &order);
+        let telling = Telling {
+            json: self.stream.json,
+            is_stdout_taken: is_stdout(&self.output) || self.device.place().is_on_stdout(),
+        };
+        let has_order = kind != Kind::Stream && (outcome.is_ok() || order.runs > 0);
         let summary = Summary {
             file: self.output,
             session: report,
+            runs: has_order.then_some(order.runs),
+            events_late: has_order.then_some(order.events_late),
             encoding,
         };
-        if self.stream.json {
-            print_json(&summary)?;
-        } else {
-            print(&summary.session.table())?;
+        telling.tell(&summary, || summary.table(&order))?;
+        match outcome {
+            Err(error) if telling.is_stdout_taken && is_closed_pipe(&error) => {}
+            outcome => outcome?,
         }
-        outcome?;
         unstopped.map_or(Ok(()), Err)
     }
 
     /// Files that it reads.
     fn inputs(&self) -> Vec<&Path> {
-        self.codec.files().collect()
+        self.codec
+            .files()
+            .chain(self.device.place().files())
+            .collect()
     }
 
     /// Records into a file that has its name when the stream ended as it should.
-    fn keep(&self, kind: Kind, session: &Session) -> Result<Option<EncodeSummary>> {
+    fn keep(&self, kind: Kind, session: &Session, kept: &mut Kept) -> Result<()> {
         let output = Output::begin_live(&self.output, self.overwrite)?;
-        let outcome = self.record(kind, session, output.path());
+        let outcome = self.record(kind, session, output.path(), kept);
         keep_or_mark(output, outcome)
     }
 
-    fn record(&self, kind: Kind, session: &Session, path: &Path) -> Result<Option<EncodeSummary>> {
+    fn record(&self, kind: Kind, session: &Session, path: &Path, kept: &mut Kept) -> Result<()> {
         match kind {
-            Kind::Stream => record::stream(session, path).map(|()| None),
-            Kind::Events => record::events(&mut session.reader(), path).map(|_| None),
+            Kind::Stream => record::stream(session, path),
+            Kind::Events => {
+                let mut reader = session.reader_of_sensor()?;
+                let reorder_us = self.limits.limits().reorder_us.unwrap_or(REORDER_LIVE_US);
+                record::events(&mut reader, path, reorder_us, &mut kept.order)
+            }
             Kind::Frames if self.device.sets_up() => {
                 let mut out = record::create(path)?;
-                let kept = record::encoders_frames(session, &mut out);
-                let flushed = record::flush(&mut out, path);
-                kept.and(flushed).map(|()| None)
+                let written = record::encoders_frames_in_order(session, &mut out, &mut kept.order);
+                written.and(record::flush(&mut out, path))
             }
             Kind::Frames => {
-                let reader: Box<dyn EventReader> = Box::new(session.reader());
+                let reader: Box<dyn EventReader> = Box::new(session.reader_of_sensor()?);
                 let config = self.codec.config(reader.sensor())?;
-                let (mut reader, config) = self.codec.look(reader, config);
+                check_region(&config)?;
+                let (reader, config) = self.codec.look(reader, config);
                 let hot = self.codec.hot_pixels(reader.sensor())?;
                 let codec = Codec {
                     hot: &hot,
                     ..Codec::from(config)
                 };
                 let limits = self.limits.limits();
-                record::frames(reader.as_mut(), codec, limits, path).map(Some)
+                record::frames(reader, codec, limits, path, kept)
             }
         }
+    }
+}
+
+impl Summary {
+    fn table(&self, order: &Order) -> String {
+        let mut table = self.session.table();
+        if self.runs.is_some() {
+            table += &order_rows(order);
+        }
+        table
     }
 }
 

@@ -1,24 +1,29 @@
 //! `eecvs-usb forward`: a device's stream to many consumers at once.
 
-use std::num::NonZeroUsize;
+use std::path::Path;
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use eecvs_nostd::Event;
 use host_harness::cmd::encode::{CodecOptions, LimitOptions};
-use host_harness::cmd::output::{print, print_json, rows};
-use host_harness::encode::{Codec, EncodeSummary, encode};
+use host_harness::cmd::output::rows;
+use host_harness::encode::{Codec, EncodeSummary};
 use host_harness::formats::EventReader;
+use host_harness::output::{self, Kind, is_stdout};
 use serde::Serialize;
 
-use super::options::{DeviceOptions, StreamOptions, warn_of_losses};
+use super::options::{
+    DeviceOptions, StreamOptions, check_region, is_one_place, order_rows, warn_of_losses,
+    warn_of_order,
+};
+use super::tell::{Telling, warn};
 use crate::forward::address::Address;
 use crate::forward::consumer::Report as ConsumerReport;
-use crate::forward::fan_out::FanOut;
+use crate::forward::fan_out::{FanOut, NobodyLeft};
 use crate::forward::packetise::Packetiser;
 use crate::queue::Taken;
-use crate::record;
+use crate::record::{self, Kept, Order};
 use crate::session::{Report, Session};
 use crate::stop::Stop;
 
@@ -30,9 +35,13 @@ const GRACE: Duration = Duration::from_secs(3);
 #[derive(Debug, Args)]
 pub struct Forward {
     /// Where to: tcp://HOST:PORT, udp://HOST:PORT, unix:PATH, file:PATH, - for standard output; may be
-    /// given several times
+    /// given several times. Who is not there is looked for until the end
     #[arg(long, value_name = "URL", required = true)]
     to: Vec<Address>,
+
+    /// Write over files that are there
+    #[arg(long)]
+    overwrite: bool,
 
     /// What is sent
     #[arg(long = "as", value_enum, default_value = "frames")]
@@ -70,88 +79,132 @@ enum What {
 struct Summary {
     #[serde(flatten)]
     session: Report,
+    /// Runs of the clock in the frames.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    runs: Option<u64>,
+    /// Events that came too late and are in no frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    events_late: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     encoding: Option<EncodeSummary>,
     consumers: Vec<ConsumerReport>,
 }
 
 impl Forward {
-    /// Forwards until Ctrl-C, a limit, or the end of the device.
+    /// Forwards until Ctrl-C, a limit, or the end of the device or of all consumers.
     ///
     /// # Errors
-    /// A device or a consumer that cannot be reached, a link that fails.
+    /// A device that cannot be used, a link that fails, a file that is not complete, a consumer that was never
+    /// there.
     pub fn run(self) -> Result<()> {
+        self.check()?;
         let stop = Stop::on_signals()?;
-        let fan_out = FanOut::start(&self.to, usize::from(self.consumer_queue_mib) << 20)?;
         let source = self.device.open(&self.codec, &stop)?;
+        let queue_bytes = usize::from(self.consumer_queue_mib) << 20;
+        let mut fan_out = FanOut::start(&self.to, queue_bytes, self.overwrite)?;
+        for absent in fan_out.reports() {
+            if let Some(failure) = absent.failure {
+                warn(&format!(
+                    "{}: {failure}: it is looked for until the end",
+                    absent.to
+                ));
+            }
+        }
         let session = Session::start(
             source,
             self.stream.queue_bytes(),
             &stop,
             self.stream.limits(),
         )?;
-        let mut fan_out = fan_out;
-        let (encoding, outcome) = match self.what {
-            What::Raw => (None, raw(&session, &mut fan_out)),
+        let mut kept = Kept::default();
+        let outcome = match self.what {
+            What::Raw => raw(&session, &mut fan_out),
             What::Frames if self.device.sets_up() => {
-                (None, record::encoders_frames(&session, &mut fan_out))
+                record::encoders_frames_in_order(&session, &mut fan_out, &mut kept.order)
             }
-            What::Frames => match self.frames(&session, &mut fan_out) {
-                Ok(summary) => (Some(summary), Ok(())),
-                Err(error) => (None, Err(error)),
-            },
+            What::Frames => self.frames(&session, &mut fan_out, &mut kept),
         };
+        let Kept { order, encoding } = kept;
+        // What ended the consumers is said for each of them.
+        let outcome = outcome.or_else(|error| match NobodyLeft::is_cause_of(&error) {
+            true => Ok(()),
+            false => Err(error),
+        });
         let (report, unstopped) = session.finish();
-        let consumers = fan_out.finish(GRACE);
+        let consumers = fan_out.finish(GRACE, outcome.is_ok());
         warn_of_losses(&report);
-        for consumer in &consumers {
-            if consumer.lost.messages > 0 || consumer.failure.is_some() {
-                eprintln!(
-                    "eecvs-usb: {}: lost {} messages of {} events{}",
-                    consumer.to,
-                    consumer.lost.messages,
-                    consumer.lost.events,
-                    match &consumer.failure {
-                        Some(failure) => format!(": {failure}"),
-                        None => String::new(),
-                    }
-                );
+        warn_of_order(&report, &order);
+        let mut failed = Vec::new();
+        for (consumer, to) in consumers.iter().zip(&self.to) {
+            match trouble(consumer, to) {
+                Some((line, true)) if outcome.is_ok() => failed.push(line),
+                Some((line, _)) => warn(&line),
+                None => {}
             }
         }
+        let has_order = self.what == What::Frames && (outcome.is_ok() || order.runs > 0);
+        let summary = Summary {
+            session: report,
+            runs: has_order.then_some(order.runs),
+            events_late: has_order.then_some(order.events_late),
+            encoding,
+            consumers,
+        };
         // Standard output may be a consumer's: the summary would stand in its stream.
-        if !self.to.contains(&Address::Stdout) {
-            let summary = Summary {
-                session: report,
-                encoding,
-                consumers,
-            };
-            if self.stream.json {
-                print_json(&summary)?;
-            } else {
-                print(&summary.table())?;
-            }
-        }
+        let telling = Telling {
+            json: self.stream.json,
+            is_stdout_taken: self.to.iter().any(is_on_stdout) || self.device.place().is_on_stdout(),
+        };
+        telling.tell(&summary, || summary.table(&order))?;
         outcome?;
+        ensure!(failed.is_empty(), "{}", failed.join("; "));
         unstopped.map_or(Ok(()), Err)
     }
 
-    fn frames(&self, session: &Session, fan_out: &mut FanOut) -> Result<EncodeSummary> {
-        let reader: Box<dyn EventReader> = Box::new(session.reader());
+    /// Refuses consumers before anything is done.
+    fn check(&self) -> Result<()> {
+        let kind = match self.what {
+            What::Frames => Kind::Frames,
+            What::Raw => Kind::Stream,
+        };
+        let place = self.device.place();
+        let inputs: Vec<&Path> = self.codec.files().chain(place.files()).collect();
+        let mut files: Vec<&Path> = Vec::new();
+        for (i, to) in self.to.iter().enumerate() {
+            ensure!(!self.to[..i].contains(to), "--to {to}: is given twice");
+            let path = match to {
+                Address::File(path) => path.as_path(),
+                Address::Stdout => {
+                    files.push(Path::new("-"));
+                    continue;
+                }
+                Address::Tcp(_) | Address::Udp(_) | Address::Unix(_) => continue,
+            };
+            output::check(path, kind, self.overwrite, &inputs)?;
+            ensure!(
+                self.what == What::Frames || path.extension().is_none_or(|end| end != "stream"),
+                "{to}: packets are no .stream, which capture writes: give the file another ending"
+            );
+            if let Some(other) = files.iter().find(|other| is_one_place(other, path)) {
+                bail!("{to}: is the same file as {}", other.display());
+            }
+            files.push(path);
+        }
+        let read: Vec<&Path> = self.codec.files().collect();
+        place.check_trace(self.overwrite, &files, &read)
+    }
+
+    fn frames(&self, session: &Session, fan_out: &mut FanOut, kept: &mut Kept) -> Result<()> {
+        let reader: Box<dyn EventReader> = Box::new(session.reader_of_sensor()?);
         let config = self.codec.config(reader.sensor())?;
-        let (mut reader, config) = self.codec.look(reader, config);
+        check_region(&config)?;
+        let (reader, config) = self.codec.look(reader, config);
         let hot = self.codec.hot_pixels(reader.sensor())?;
         let codec = Codec {
             hot: &hot,
             ..Codec::from(config)
         };
-        encode(
-            reader.as_mut(),
-            codec,
-            self.limits.limits(),
-            NonZeroUsize::MIN,
-            fan_out,
-            &mut |_| {},
-        )
+        record::encode_live(reader, codec, self.limits.limits(), fan_out, kept)
     }
 }
 
@@ -160,7 +213,7 @@ fn raw(session: &Session, fan_out: &mut FanOut) -> Result<()> {
     let encoding = format!("{}/{}", session.model.name(), session.info.stream);
     let mut packetiser = Packetiser::new(encoding, session.follower());
     let mut events: Vec<Event> = Vec::new();
-    loop {
+    while !fan_out.is_over() {
         let chunk = match session.pumped.queue.take(Duration::from_millis(100)) {
             Taken::Item(chunk) => chunk,
             Taken::Nothing => {
@@ -178,9 +231,44 @@ fn raw(session: &Session, fan_out: &mut FanOut) -> Result<()> {
     session.outcome()
 }
 
+/// A line about a consumer that did not get everything, and whether that fails the command: a consumer that is
+/// slow or goes is told, but one that was never there, and a file that lacks something, is not what was asked for.
+fn trouble(consumer: &ConsumerReport, to: &Address) -> Option<(String, bool)> {
+    // Of datagrams, nobody knows before one is sent.
+    let is_unknown = matches!(to, Address::Udp(_)) && consumer.lost.messages == 0;
+    let is_absent = !consumer.reached && !is_unknown;
+    let has_trouble = consumer.lost.messages > 0 || consumer.failure.is_some() || is_absent;
+    if !has_trouble || consumer.is_closed {
+        return None;
+    }
+    let mut line = format!(
+        "{to}: lost {} messages of {} events",
+        consumer.lost.messages, consumer.lost.events
+    );
+    if is_absent {
+        line += ": was never there";
+    }
+    if let Some(failure) = &consumer.failure {
+        line += &format!(": {failure}");
+    }
+    let is_output = matches!(to, Address::File(_) | Address::Stdout);
+    Some((line, is_output || is_absent))
+}
+
+fn is_on_stdout(to: &Address) -> bool {
+    match to {
+        Address::Stdout => true,
+        Address::File(path) => is_stdout(path),
+        Address::Tcp(_) | Address::Udp(_) | Address::Unix(_) => false,
+    }
+}
+
 impl Summary {
-    fn table(&self) -> String {
+    fn table(&self, order: &Order) -> String {
         let mut table = self.session.table();
+        if self.runs.is_some() {
+            table += &order_rows(order);
+        }
         for consumer in &self.consumers {
             table += &rows([
                 ("to", consumer.to.clone()),
@@ -189,6 +277,10 @@ impl Summary {
                 ("  events sent", consumer.sent.events.to_string()),
                 ("  events lost", consumer.lost.events.to_string()),
                 ("  bytes sent", consumer.sent.bytes.to_string()),
+                (
+                    "  was there",
+                    if consumer.reached { "yes" } else { "never" }.to_owned(),
+                ),
                 ("  reconnects", consumer.reconnects.to_string()),
                 ("  queue peak, bytes", consumer.queue_peak_bytes.to_string()),
             ]);

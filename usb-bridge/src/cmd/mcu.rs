@@ -28,19 +28,58 @@ pub struct Mcu {
     job: JobOptions,
 }
 
-/// What it reports; the fields are its JSON keys.
+/// What it reports; the fields are its JSON keys, one for every row of the table.
 #[derive(Debug, Serialize)]
 struct Report {
     device: String,
     firmware: String,
+    hot_pixels: u32,
     events: u64,
-    windows: u64,
-    frames_identical: u64,
-    frames_different: u64,
+    events_encoded: u64,
+    events_late: u64,
+    events_filtered: u64,
+    events_thinned: u64,
     events_lost: u64,
+    windows: u64,
+    window_events: u32,
+    frames: u64,
+    /// Nothing where the host has no frames to compare with.
+    frames_identical: Option<u64>,
+    frames_different: Option<u64>,
     /// Of the encoder's own clock.
     ns_per_event: f64,
+    receive_ns_per_event: f64,
+    encode_ns_per_event: f64,
+    send_ns_per_event: f64,
     stack_bytes: u32,
+}
+
+impl Report {
+    fn new(device: String, firmware: String, outcome: &Outcome) -> Self {
+        let [receive, encode, send] = outcome.ns_per_event();
+        let compared = |frames: u64| outcome.compared.then_some(frames);
+        Self {
+            device,
+            firmware,
+            hot_pixels: outcome.status.hot_pixels,
+            events: outcome.events,
+            events_encoded: outcome.events_encoded,
+            events_late: outcome.events_late,
+            events_filtered: outcome.events_filtered,
+            events_thinned: outcome.events_thinned,
+            events_lost: outcome.events_lost,
+            windows: outcome.windows,
+            window_events: outcome.status.window_events,
+            frames: outcome.frames,
+            frames_identical: compared(outcome.frames_identical),
+            frames_different: compared(outcome.frames_different),
+            ns_per_event: receive + encode + send,
+            receive_ns_per_event: receive,
+            encode_ns_per_event: encode,
+            send_ns_per_event: send,
+            stack_bytes: outcome.status.stack_bytes,
+        }
+    }
 }
 
 impl Mcu {
@@ -66,17 +105,8 @@ impl Mcu {
         let outcome = prepared
             .run(&mut encoder.connect(PATIENCE)?)
             .with_context(|| device.clone())?;
-        let report = Report {
-            device,
-            firmware: encoder.source().info.firmware.clone(),
-            events: outcome.events,
-            windows: outcome.windows,
-            frames_identical: outcome.frames_identical,
-            frames_different: outcome.frames_different,
-            events_lost: outcome.events_lost,
-            ns_per_event: outcome.ns_per_event().iter().sum(),
-            stack_bytes: outcome.status.stack_bytes,
-        };
+        let firmware = encoder.source().info.firmware.clone();
+        let report = Report::new(device, firmware, &outcome);
         if self.job.json {
             print_json(&report)?;
         } else {
@@ -96,4 +126,56 @@ fn table(report: &Report, outcome: &Outcome) -> String {
     lines.extend(job::times("ns/event, its clock", outcome));
     lines.push(("stack", format!("{} bytes", report.stack_bytes)));
     rows(lines)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use eecvs_nostd::event_link::Status;
+
+    #[test]
+    fn json_has_every_row_of_the_table() {
+        let outcome = Outcome {
+            events: 1001,
+            windows: 1002,
+            frames: 1003,
+            compared: true,
+            frames_identical: 1004,
+            frames_different: 1005,
+            events_encoded: 1006,
+            events_late: 1007,
+            events_filtered: 1008,
+            events_thinned: 1009,
+            events_lost: 1010,
+            status: Status {
+                hot_pixels: 1011,
+                window_events: 1012,
+                events: 1,
+                receive_ns: 1013,
+                encode_ns: 1014,
+                send_ns: 1015,
+                stack_bytes: 1016,
+                ..Status::default()
+            },
+            bytes: Vec::new(),
+            problems: Vec::new(),
+        };
+        let report = Report::new("place".to_owned(), "0.1.0".to_owned(), &outcome);
+        let serde_json::Value::Object(json) = serde_json::to_value(&report).unwrap() else {
+            unreachable!();
+        };
+        let values: Vec<String> = json.values().map(ToString::to_string).collect();
+        let table = table(&report, &outcome);
+        assert_eq!(table.lines().count(), values.len(), "{table}{json:?}");
+        for line in table.lines() {
+            let value = line.trim_end_matches(" bytes").rsplit(' ').next().unwrap();
+            let quoted = format!("\"{value}\"");
+            assert!(
+                values
+                    .iter()
+                    .any(|other| other == value || *other == quoted),
+                "{line}"
+            );
+        }
+    }
 }

@@ -7,3 +7,4 @@ pub mod mcu;
 pub mod options;
 pub mod receive;
 pub mod simulate;
+mod tell;

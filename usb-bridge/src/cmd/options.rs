@@ -1,16 +1,19 @@
 //! Flags that several commands share, and what they print alike.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use clap::Args;
-use eecvs_nostd::Sensor;
+use eecvs_nostd::{Config, Region, Sensor};
 use host_harness::cmd::encode::CodecOptions;
 use host_harness::cmd::output::rows;
+use host_harness::output;
 
+use super::tell::warn;
 use crate::encoder::{Encoder, Wish};
 use crate::peripheral::stream::Pace;
+use crate::record::Order;
 use crate::session::{Limits, Report, Source};
 use crate::source;
 use crate::stop::Stop;
@@ -43,6 +46,46 @@ impl PlaceOptions {
     #[must_use]
     pub const fn name(&self) -> Option<&source::Name> {
         self.device.as_ref()
+    }
+
+    /// Files that it reads or, of a trace, writes.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        self.file().into_iter().chain(self.trace.as_deref())
+    }
+
+    /// Whether the trace goes to stdout.
+    #[must_use]
+    pub fn is_on_stdout(&self) -> bool {
+        self.trace.as_deref().is_some_and(output::is_stdout)
+    }
+
+    /// The file that is played.
+    fn file(&self) -> Option<&Path> {
+        match &self.device {
+            Some(source::Name::Replay(path) | source::Name::Simulated(_, path)) => Some(path),
+            Some(source::Name::Usb(_) | source::Name::Serial(_)) | None => None,
+        }
+    }
+
+    /// Refuses a trace before anything is done that is an input, an output or a file that is there.
+    ///
+    /// # Errors
+    /// The message names it.
+    pub fn check_trace(&self, overwrite: bool, outputs: &[&Path], inputs: &[&Path]) -> Result<()> {
+        let Some(trace) = &self.trace else {
+            return Ok(());
+        };
+        let inputs: Vec<&Path> = inputs.iter().copied().chain(self.file()).collect();
+        output::check(trace, output::Kind::Stream, overwrite, &inputs)?;
+        for output in outputs {
+            ensure!(
+                !is_one_place(trace, output),
+                "{}: is the trace and {} too: give one of them another name",
+                trace.display(),
+                output.display()
+            );
+        }
+        Ok(())
     }
 
     /// Opens the device `name`, and asks it what it is.
@@ -84,7 +127,11 @@ impl DeviceOptions {
     /// There is none, or it cannot be used, or refuses the setup: the message says what to do.
     pub fn open(&self, codec: &CodecOptions, stop: &Stop) -> Result<Source> {
         let wish = match self.set_up {
-            Some(sensor) => Some((codec.config_of_image(sensor)?, codec.hot_pixels(sensor)?)),
+            Some(sensor) => {
+                let config = codec.config_of_image(sensor)?;
+                check_region(&config)?;
+                Some((config, codec.hot_pixels(sensor)?))
+            }
             None => None,
         };
         let source = self.place.open(self.place.name(), self.rate, stop)?;
@@ -94,11 +141,57 @@ impl DeviceOptions {
         }
     }
 
+    /// Where it is.
+    #[must_use]
+    pub const fn place(&self) -> &PlaceOptions {
+        &self.place
+    }
+
     /// Whether the device itself encodes as it is told: its frames are kept as they are.
     #[must_use]
     pub const fn sets_up(&self) -> bool {
         self.set_up.is_some()
     }
+}
+
+/// Refuses a region of which a part is outside of the sensor.
+///
+/// # Errors
+/// The message names both.
+pub fn check_region(config: &Config) -> Result<()> {
+    let Some(Region {
+        x,
+        y,
+        width,
+        height,
+    }) = config.filter.region
+    else {
+        return Ok(());
+    };
+    let sensor = config.window.sensor;
+    let fits =
+        |from: u16, length: u16, side: u16| u32::from(from) + u32::from(length) <= u32::from(side);
+    ensure!(
+        fits(x, width, sensor.width) && fits(y, height, sensor.height),
+        "--region {x},{y},{width},{height}: reaches outside of the sensor of {} x {}",
+        sensor.width,
+        sensor.height
+    );
+    Ok(())
+}
+
+/// Whether two names are one file, or would be: of files that are not there, one name in one folder.
+#[must_use]
+pub fn is_one_place(a: &Path, b: &Path) -> bool {
+    let place = |path: &Path| {
+        let folder = path
+            .parent()
+            .filter(|folder| !folder.as_os_str().is_empty());
+        let folder = folder.unwrap_or(Path::new(".")).canonicalize().ok()?;
+        Some(folder.join(path.file_name()?))
+    };
+    let places = (place(a), place(b));
+    a == b || output::is_same(a, b) || (places.0.is_some() && places.0 == places.1)
 }
 
 /// A sensor's size: `346x260`.
@@ -168,7 +261,43 @@ pub fn warn_of_losses(report: &Report) {
         .iter()
         .map(|(cause, n)| format!("{cause}: {n}"))
         .collect();
-    eprintln!("eecvs-usb: {}: lost: {}", report.device, losses.join("; "));
+    warn(&format!("{}: lost: {}", report.device, losses.join("; ")));
+}
+
+/// Lines on stderr where the clock began anew, or events came too late.
+pub fn warn_of_order(report: &Report, order: &Order) {
+    for line in disorder(order) {
+        warn(&format!("{}: {line}", report.device));
+    }
+}
+
+/// What there is to say of an order.
+fn disorder(order: &Order) -> Vec<String> {
+    let mut lines = Vec::new();
+    if order.runs > 1 {
+        lines.push(format!(
+            "the clock began anew, times that it did: {}; what was written is of {} runs and holds all events; where \
+             the clock is one and events came late, a longer --reorder-us puts them in order",
+            order.runs - 1,
+            order.runs
+        ));
+    }
+    if order.events_late > 0 {
+        lines.push(format!(
+            "{} of {} events came too late and are in no frame: give a longer --reorder-us",
+            order.events_late, order.events
+        ));
+    }
+    lines
+}
+
+/// The order of what was written, for people.
+#[must_use]
+pub fn order_rows(order: &Order) -> String {
+    rows([
+        ("runs of the clock", order.runs.to_string()),
+        ("events late", order.events_late.to_string()),
+    ])
 }
 
 impl Report {
@@ -205,5 +334,38 @@ impl Report {
             }
         }
         table
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn disorder_is_told_with_its_counts() {
+        let order = |runs, events_late| Order {
+            events: 20,
+            runs,
+            events_late,
+        };
+        assert!(disorder(&order(1, 0)).is_empty());
+        let [runs, late] = <[String; 2]>::try_from(disorder(&order(3, 4))).unwrap();
+        assert!(
+            runs.contains("it did: 2;") && runs.contains("3 runs"),
+            "{runs}"
+        );
+        assert!(late.contains("4 of 20 events"), "{late}");
+        let table = order_rows(&order(3, 4));
+        assert_eq!(table, "runs of the clock  3\nevents late        4\n");
+    }
+
+    #[test]
+    fn one_place_is_found_before_it_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir(at("sub")).unwrap();
+        assert!(is_one_place(&at("a.raw"), &at("sub/../a.raw")));
+        assert!(!is_one_place(&at("a.raw"), &at("sub/a.raw")));
+        assert!(!is_one_place(&at("none/a.raw"), &at("gone/a.raw")));
     }
 }

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
-use host_harness::cmd::output::{print, print_json, rows};
-use host_harness::output::{Output, keep_or_mark};
+use host_harness::cmd::output::rows;
+use host_harness::output::{Output, is_stdout, keep_or_mark};
 
 use super::options::StreamOptions;
+use super::tell::{Telling, warn};
 use crate::forward::address::Address;
 use crate::forward::receive::{self, Received};
 use crate::link::listen::Listening;
@@ -21,7 +22,8 @@ pub struct Receive {
     #[arg(value_name = "URL")]
     from: Address,
 
-    /// File to write: .eecvs keeps frames as they are; a format of recordings gets their events
+    /// File to write: .eecvs keeps frames as they are; a format of recordings gets their events; - is
+    /// standard output, which gets frames
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
 
@@ -29,7 +31,7 @@ pub struct Receive {
     #[arg(long)]
     overwrite: bool,
 
-    /// End when the first sender has gone
+    /// End when the first sender has gone; one that sent nothing, or no message, is none
     #[arg(long)]
     once: bool,
 
@@ -41,7 +43,8 @@ impl Receive {
     /// Receives until Ctrl-C, a limit, or the end of the sender.
     ///
     /// # Errors
-    /// An address that cannot be waited at, a file that cannot be written.
+    /// An address that cannot be waited at, a file that cannot be written; something that was sent and did not
+    /// come, though the file then is complete as received.
     pub fn run(self) -> Result<()> {
         let kind = record::kind_of(&self.output)?;
         kind.check(&self.output, self.overwrite, &[])?;
@@ -60,25 +63,51 @@ impl Receive {
         } else {
             keep_or_mark(output, outcome)
         };
-        if let Some(warning) = received.warning() {
-            eprintln!("eecvs-usb: {}: {warning}", self.from);
+        let telling = Telling {
+            json: self.stream.json,
+            is_stdout_taken: is_stdout(&self.output),
+        };
+        telling.tell(&received, || table(&received))?;
+        let Some(warning) = received.warning() else {
+            return outcome;
+        };
+        if outcome.is_ok() && received.has_losses() {
+            bail!("{}: {warning}", self.from);
         }
-        if self.stream.json {
-            print_json(&received)?;
-        } else {
-            print(&table(&received))?;
-        }
+        warn(&format!("{}: {warning}", self.from));
         outcome
     }
 }
 
 fn table(received: &Received) -> String {
-    rows([
+    let mut lines = vec![
         ("messages", received.messages.to_string()),
         ("bytes", received.bytes.to_string()),
         ("events", received.events.to_string()),
         ("messages lost", received.lost_messages.to_string()),
+        ("messages twice", received.repeated_messages.to_string()),
         ("damaged bytes", received.damaged_bytes.to_string()),
-        ("late datagrams", received.late_datagrams.to_string()),
-    ])
+        ("unfinished bytes", received.unfinished_bytes.to_string()),
+        ("senders", received.senders.to_string()),
+    ];
+    if let Some(bytes) = received.receive_buffer_bytes {
+        let overflown = received.overflown_datagrams;
+        let overflown = overflown.map_or("not told".to_owned(), |n| n.to_string());
+        lines.extend([
+            ("datagrams lost", received.lost_datagrams.to_string()),
+            ("  for want of room", overflown),
+            ("datagrams late", received.late_datagrams.to_string()),
+            ("receive buffer, bytes", bytes.to_string()),
+        ]);
+    }
+    let mut table = rows(lines);
+    if !received.left_out.is_empty() {
+        let counts = received.left_out.iter();
+        let counts = counts.map(|(cause, n)| (*cause, n.to_string()));
+        table += "left out\n";
+        for line in rows(counts).lines() {
+            table += &format!("  {line}\n");
+        }
+    }
+    table
 }

@@ -1,11 +1,13 @@
 //! A consumer: a queue of its own, and a thread that empties it.
 
+use std::io::{self, ErrorKind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, Builder};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
+use host_harness::output::Output;
 use serde::Serialize;
 
 use super::address::Address;
@@ -77,12 +79,17 @@ pub struct Report {
     pub sent: Amount,
     /// What it was not: its queue was full, it was away, or it took nothing until the end.
     pub lost: Amount,
+    /// Whether it was ever there.
+    pub reached: bool,
     /// Times that it was away and came back.
     pub reconnects: u64,
     /// Most bytes that were ever in its queue.
     pub queue_peak_bytes: usize,
     /// Why it gets nothing any more, or got nothing at the end.
     pub failure: Option<String>,
+    /// Whether it is a pipe whose reader has seen enough.
+    #[serde(skip)]
+    pub is_closed: bool,
 }
 
 struct Shared {
@@ -90,6 +97,7 @@ struct Shared {
     queue: Queue<Message>,
     sent: Counter,
     lost: Counter,
+    reached: AtomicBool,
     reconnects: AtomicU64,
     /// No more messages come: those in the queue are sent for a while yet.
     ending: AtomicBool,
@@ -97,77 +105,132 @@ struct Shared {
     over: AtomicBool,
     done: AtomicBool,
     failure: Mutex<Option<String>>,
+    closed: AtomicBool,
 }
 
 /// Who gets the messages.
-pub struct Consumer(Arc<Shared>);
+pub struct Consumer {
+    shared: Arc<Shared>,
+    /// Of a file: what gives it its name when it is complete.
+    output: Option<Output>,
+}
 
 impl Consumer {
-    /// Opens the way to an address and starts its thread; the queue holds at most `queue_bytes`.
+    /// Opens the way to an address and starts its thread; the queue holds at most `queue_bytes`. Where nobody
+    /// is there, that is the consumer's failure so far, and it is looked for again. A file has its own name
+    /// when it is complete; one that is there is replaced where `overwrite` says.
     ///
     /// # Errors
-    /// Nobody is there, or the file cannot be created.
-    pub fn start(address: Address, queue_bytes: usize) -> Result<Self> {
-        let sink = Sink::open(&address).map_err(|error| anyhow!("{address}: {error}"))?;
+    /// A place that may not be used, a file that cannot be created.
+    pub fn start(address: Address, queue_bytes: usize, overwrite: bool) -> Result<Self> {
+        let (output, opened) = match &address {
+            Address::File(path) => {
+                let output = Output::begin_live(path, overwrite)?;
+                let part = Address::File(output.path().to_owned());
+                (Some(output), Sink::open(&part))
+            }
+            _ => (None, Sink::open(&address)),
+        };
+        let (sink, absence) = match opened {
+            Ok(sink) => (Some(sink), None),
+            Err(error) if output.is_none() && may_come(&error) => (None, Some(error.to_string())),
+            Err(error) => return Err(anyhow!("{address}: {error}")),
+        };
         let shared = Arc::new(Shared {
             address,
             queue: Queue::new(queue_bytes),
             sent: Counter::default(),
             lost: Counter::default(),
+            reached: AtomicBool::new(false),
             reconnects: AtomicU64::new(0),
             ending: AtomicBool::new(false),
             over: AtomicBool::new(false),
             done: AtomicBool::new(false),
-            failure: Mutex::new(None),
+            failure: Mutex::new(absence),
+            closed: AtomicBool::new(false),
         });
         let thread = Arc::clone(&shared);
         Builder::new()
             .name("consumer".to_owned())
             .spawn(move || thread.run(sink))
             .context("starting a consumer's thread")?;
-        Ok(Self(shared))
+        Ok(Self { shared, output })
     }
 
     /// Queues a message; what has to go for it is counted. Never waits.
     pub fn give(&self, message: Message) {
-        for gone in self.0.queue.force(message) {
-            self.0.lost.add(&gone);
+        for gone in self.shared.queue.force(message) {
+            self.shared.lost.add(&gone);
         }
     }
 
     /// No more messages come.
     pub fn end(&self) {
-        self.0.ending.store(true, Ordering::Relaxed);
-        self.0.queue.close();
+        self.shared.ending.store(true, Ordering::Relaxed);
+        self.shared.queue.close();
+    }
+
+    /// Whether it takes nothing any more, and will not.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        self.shared.done.load(Ordering::Relaxed)
     }
 
     /// Waits until everything is sent or `until` has come, and reports. A thread that hangs in a write
-    /// to a file or a pipe is left behind.
+    /// to a file or a pipe is left behind. A file gets its name where it has all that it was to have and
+    /// `is_whole`, the stream ended as it should; otherwise it stays marked as incomplete.
     #[must_use]
-    pub fn finish(&self, until: Instant) -> Report {
+    pub fn finish(mut self, until: Instant, is_whole: bool) -> Report {
         self.end();
-        while !self.0.done.load(Ordering::Relaxed) && Instant::now() < until {
+        while !self.is_done() && Instant::now() < until {
             thread::sleep(Duration::from_millis(5));
         }
-        self.0.over.store(true, Ordering::Relaxed);
+        self.shared.over.store(true, Ordering::Relaxed);
         let grace = Instant::now() + Duration::from_millis(500);
-        while !self.0.done.load(Ordering::Relaxed) && Instant::now() < grace {
+        while !self.is_done() && Instant::now() < grace {
             thread::sleep(Duration::from_millis(5));
         }
-        self.report()
+        let mut report = self.report();
+        if let Some(output) = self.output.take() {
+            if !self.is_done() && report.failure.is_none() {
+                report.failure = Some("took nothing any more until the end".to_owned());
+            }
+            if report.failure.is_none() && is_whole {
+                report.failure = output.keep().err().map(|error| format!("{error:#}"));
+            } else if let Some(part) = output.leave() {
+                let failure = report.failure.take();
+                let failure = failure.map_or(String::new(), |failure| format!(": {failure}"));
+                let part = part.display();
+                report.failure = Some(format!("incomplete: what came is in {part}{failure}"));
+            }
+        }
+        report
     }
 
     /// What became of the messages so far.
     #[must_use]
     pub fn report(&self) -> Report {
-        let failure = self.0.failure.lock();
+        let failure = self.shared.failure.lock();
         Report {
-            to: self.0.address.to_string(),
-            sent: self.0.sent.amount(),
-            lost: self.0.lost.amount(),
-            reconnects: self.0.reconnects.load(Ordering::Relaxed),
-            queue_peak_bytes: self.0.queue.fill().peak_bytes,
+            to: self.shared.address.to_string(),
+            sent: self.shared.sent.amount(),
+            lost: self.shared.lost.amount(),
+            reached: self.shared.reached.load(Ordering::Relaxed),
+            reconnects: self.shared.reconnects.load(Ordering::Relaxed),
+            queue_peak_bytes: self.shared.queue.fill().peak_bytes,
             failure: failure.unwrap_or_else(PoisonError::into_inner).clone(),
+            is_closed: self.shared.closed.load(Ordering::Relaxed),
+        }
+    }
+}
+
+impl Drop for Consumer {
+    fn drop(&mut self) {
+        // Of one that was never finished: a file without a byte does not stay.
+        self.shared.over.store(true, Ordering::Relaxed);
+        self.end();
+        if let Some(output) = self.output.take() {
+            let _ = output.leave();
         }
     }
 }
@@ -178,8 +241,30 @@ impl Shared {
         *failure = Some(why);
     }
 
-    fn run(&self, mut sink: Sink) {
+    fn recover(&self) {
+        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    fn run(&self, sink: Option<Sink>) {
+        let sink = sink.or_else(|| self.again());
+        if let Some(sink) = sink {
+            self.carry(sink);
+        }
+        for message in self.queue.abandon() {
+            self.lost.add(&message);
+        }
+        self.done.store(true, Ordering::Relaxed);
+    }
+
+    /// Sends what is queued until the end, or until the way is lost for good.
+    fn carry(&self, mut sink: Sink) {
         let goes_on = || !self.over.load(Ordering::Relaxed);
+        // Of datagrams: whether the latest found nobody.
+        let mut is_away = false;
+        // Datagrams may find nobody; everyone else is there.
+        if !matches!(sink, Sink::Udp(..)) {
+            self.reached.store(true, Ordering::Relaxed);
+        }
         while goes_on() {
             let message = match self.queue.take(Duration::from_millis(100)) {
                 Taken::Item(message) => message,
@@ -187,7 +272,24 @@ impl Shared {
                 Taken::Closed => break,
             };
             match sink.send(&message.bytes, &goes_on) {
-                Ok(()) => self.sent.add(&message),
+                Ok(()) => {
+                    self.sent.add(&message);
+                    let was_reached = self.reached.swap(true, Ordering::Relaxed);
+                    if is_away {
+                        self.recover();
+                        is_away = false;
+                        self.reconnects
+                            .fetch_add(u64::from(was_reached), Ordering::Relaxed);
+                    }
+                }
+                Err(error) if sink.survives(&error) => {
+                    self.lost.add(&message);
+                    // Where the system has no room, the others of the message may still be there.
+                    if error.kind() != ErrorKind::WouldBlock {
+                        is_away = true;
+                        self.fail(error.to_string());
+                    }
+                }
                 Err(error) => {
                     // A part of it may have come: its reader finds the next one by itself.
                     self.lost.add(&message);
@@ -196,38 +298,51 @@ impl Shared {
                         break;
                     }
                     self.fail(error.to_string());
-                    match self.again(&sink) {
+                    if !sink.comes_back() {
+                        let is_closed = error.kind() == ErrorKind::BrokenPipe;
+                        self.closed.store(is_closed, Ordering::Relaxed);
+                        break;
+                    }
+                    match self.again() {
                         Some(next) => sink = next,
                         None => break,
                     }
                 }
             }
         }
-        for message in self.queue.abandon() {
-            self.lost.add(&message);
-        }
-        self.done.store(true, Ordering::Relaxed);
+        sink.end();
     }
 
-    /// Tries to come back to a consumer that is away.
-    fn again(&self, lost: &Sink) -> Option<Sink> {
-        if !lost.comes_back() {
-            return None;
-        }
+    /// Tries to reach a consumer that is away.
+    fn again(&self) -> Option<Sink> {
         let (mut wait, most) = RETRY;
-        // At the end nobody is waited for.
-        while !self.ending.load(Ordering::Relaxed) {
+        loop {
             let until = Instant::now() + wait;
             while Instant::now() < until && !self.ending.load(Ordering::Relaxed) {
                 thread::sleep(Duration::from_millis(20));
             }
-            if let Ok(sink) = Sink::open(&self.address) {
-                self.reconnects.fetch_add(1, Ordering::Relaxed);
-                *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = None;
-                return Some(sink);
+            // At the end it is looked for once more, and not waited for.
+            let is_last = self.ending.load(Ordering::Relaxed);
+            match Sink::open(&self.address) {
+                Ok(sink) => {
+                    self.recover();
+                    let was_reached = self.reached.load(Ordering::Relaxed);
+                    self.reconnects
+                        .fetch_add(u64::from(was_reached), Ordering::Relaxed);
+                    return Some(sink);
+                }
+                Err(_) if is_last => return None,
+                Err(error) => self.fail(error.to_string()),
             }
             wait = (2 * wait).min(most);
         }
-        None
     }
+}
+
+/// Whether somebody may be there later.
+fn may_come(error: &io::Error) -> bool {
+    !matches!(
+        error.kind(),
+        ErrorKind::PermissionDenied | ErrorKind::InvalidInput
+    )
 }

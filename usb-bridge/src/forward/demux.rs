@@ -55,10 +55,10 @@ impl Demux {
         }
     }
 
-    /// No more comes: what is left belongs to no message.
-    pub fn finish(&mut self) {
-        self.damaged_bytes += (self.buffer.len() - self.used) as u64;
-        self.used = self.buffer.len();
+    /// Bytes of a message that is not whole yet.
+    #[must_use]
+    pub fn rest_bytes(&self) -> usize {
+        self.buffer.len() - self.used
     }
 
     fn skip(&mut self) {
@@ -155,6 +155,16 @@ mod tests {
         sequences
     }
 
+    /// What is found when no more comes.
+    fn rest(demux: &mut Demux) -> Vec<u32> {
+        let mut met = Vec::new();
+        while demux.rest_bytes() > 0 {
+            demux.interrupt();
+            met.extend(sequences(demux));
+        }
+        met
+    }
+
     proptest! {
         /// However it is cut, whatever lies between, whole packets come and the rest is counted.
         #[test]
@@ -182,7 +192,7 @@ mod tests {
                 demux.push(part);
                 met.extend(sequences(&mut demux));
             }
-            demux.finish();
+            met.extend(rest(&mut demux));
             prop_assert_eq!(met, expected);
             prop_assert_eq!(demux.damaged_bytes(), noise);
         }
@@ -193,9 +203,8 @@ mod tests {
             let mut demux = Demux::default();
             demux.push(&bytes);
             while demux.next_message().is_some() {}
-            demux.interrupt();
-            while demux.next_message().is_some() {}
-            demux.finish();
+            rest(&mut demux);
+            prop_assert_eq!(demux.rest_bytes(), 0);
             prop_assert!(demux.damaged_bytes() <= bytes.len() as u64);
         }
     }

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use eecvs_nostd::Frame;
+use thiserror::Error;
 
 use super::address::Address;
 use super::consumer::{Consumer, Message, Report};
@@ -14,6 +15,23 @@ use super::consumer::{Consumer, Message, Report};
 /// Messages whose memory is used again: at 50 million events per second, new memory for each would take the
 /// system longer than the message itself.
 const KEPT: usize = 32;
+
+/// Why a stream ends before its source: no consumer takes anything any more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
+#[error("no consumer is left")]
+pub struct NobodyLeft;
+
+impl NobodyLeft {
+    /// Whether that is the cause of an error.
+    #[must_use]
+    pub fn is_cause_of(error: &anyhow::Error) -> bool {
+        error.chain().any(|cause| {
+            let io = cause.downcast_ref::<io::Error>();
+            let inner = io.and_then(io::Error::get_ref);
+            inner.and_then(|inner| inner.downcast_ref()) == Some(&Self)
+        })
+    }
+}
 
 /// All consumers. As a writer it takes a whole frame with every `write_all`, which is how the encoder
 /// gives them.
@@ -24,12 +42,13 @@ pub struct FanOut {
 }
 
 impl FanOut {
-    /// Opens the way to every address; each has a queue of at most `queue_bytes`.
+    /// Opens the way to every address; each has a queue of at most `queue_bytes`. Who is not there is looked
+    /// for again, and files that are there are replaced where `overwrite` says.
     ///
     /// # Errors
-    /// The first that cannot be reached.
-    pub fn start(addresses: &[Address], queue_bytes: usize) -> Result<Self> {
-        let start = |address: &Address| Consumer::start(address.clone(), queue_bytes);
+    /// The first that cannot be used.
+    pub fn start(addresses: &[Address], queue_bytes: usize, overwrite: bool) -> Result<Self> {
+        let start = |address: &Address| Consumer::start(address.clone(), queue_bytes, overwrite);
         let consumers = addresses.iter().map(start).collect::<Result<_>>()?;
         Ok(Self {
             consumers,
@@ -68,20 +87,30 @@ impl FanOut {
         self.consumers.iter().map(Consumer::report).collect()
     }
 
-    /// Ends the stream: waits at most for `grace` until everyone has taken what is queued.
+    /// Whether nobody takes anything any more, nor will.
     #[must_use]
-    pub fn finish(&self, grace: Duration) -> Vec<Report> {
+    pub fn is_over(&self) -> bool {
+        self.consumers.iter().all(Consumer::is_done)
+    }
+
+    /// Ends the stream: waits at most for `grace` until everyone has taken what is queued. Files are complete
+    /// where `is_whole`: the stream ended as it should.
+    #[must_use]
+    pub fn finish(self, grace: Duration, is_whole: bool) -> Vec<Report> {
         for consumer in &self.consumers {
             consumer.end();
         }
         let until = Instant::now() + grace;
-        let finish = |consumer: &Consumer| consumer.finish(until);
-        self.consumers.iter().map(finish).collect()
+        let finish = |consumer: Consumer| consumer.finish(until, is_whole);
+        self.consumers.into_iter().map(finish).collect()
     }
 }
 
 impl Write for FanOut {
     fn write(&mut self, frame: &[u8]) -> io::Result<usize> {
+        if self.is_over() {
+            return Err(io::Error::other(NobodyLeft));
+        }
         let events = Frame::parse(frame).map_or(0, |frame| u64::from(frame.header.events));
         self.give(frame, events);
         Ok(frame.len())
@@ -126,6 +155,7 @@ mod tests {
                 Address::Unix(path),
             ],
             QUEUE_BYTES,
+            true,
         )
         .unwrap();
         let (_held, _) = stuck.accept().unwrap();
@@ -150,8 +180,7 @@ mod tests {
             }
         }
         let [written, lagging, read] =
-            <[Report; 3]>::try_from(fan_out.finish(Duration::from_millis(300))).unwrap();
-        drop(fan_out);
+            <[Report; 3]>::try_from(fan_out.finish(Duration::from_millis(300), true)).unwrap();
         for report in [&written, &read] {
             assert_eq!(report.lost.messages, 0, "{report:?}");
             assert_eq!(report.sent.messages, u64::from(count));
@@ -172,7 +201,7 @@ mod tests {
     fn one_that_vanishes_comes_back_and_its_losses_are_counted() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = Address::Tcp(listener.local_addr().unwrap().to_string());
-        let mut fan_out = FanOut::start(&[address], QUEUE_BYTES).unwrap();
+        let mut fan_out = FanOut::start(&[address], QUEUE_BYTES, false).unwrap();
         drop(listener.accept().unwrap());
         let until = Instant::now() + Duration::from_secs(20);
         let mut given = 0;
@@ -194,7 +223,7 @@ mod tests {
             stream.read_exact(&mut bytes).unwrap();
             last.copy_from_slice(&bytes[..4]);
         }
-        let reports = fan_out.finish(Duration::from_secs(1));
+        let reports = fan_out.finish(Duration::from_secs(1), true);
         let report = &reports[0];
         assert_eq!(report.reconnects, 1);
         assert!(report.lost.messages > 0, "{report:?}");
@@ -206,16 +235,114 @@ mod tests {
     }
 
     #[test]
-    fn nobody_there_is_one_line() {
-        let free = TcpListener::bind("127.0.0.1:0")
-            .unwrap()
-            .local_addr()
+    fn one_that_comes_late_gets_what_waits_for_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let free = listener.local_addr().unwrap();
+        drop(listener);
+        let (file, path) = (folder.path().join("all"), folder.path().join("socket"));
+        let addresses = [
+            Address::File(file.clone()),
+            Address::Tcp(free.to_string()),
+            Address::Unix(path.clone()),
+        ];
+        let mut fan_out = FanOut::start(&addresses, QUEUE_BYTES, false).unwrap();
+        let reports = fan_out.reports();
+        for (report, is_there) in reports.iter().zip([true, false, false]) {
+            assert_eq!(report.failure.is_none(), is_there, "{report:?}");
+        }
+        fan_out.give(&message(0), 1);
+        let listener = UnixListener::bind(&path).unwrap();
+        let (mut stream, _) = listener.accept().unwrap();
+        fan_out.give(&message(1), 1);
+        let mut bytes = [0; 2000];
+        stream.read_exact(&mut bytes).unwrap();
+        assert_eq!(bytes[..], [message(0), message(1)].concat());
+        assert!(!fan_out.is_over());
+        let [written, absent, late] =
+            <[Report; 3]>::try_from(fan_out.finish(Duration::from_secs(2), true)).unwrap();
+        for report in [&written, &late] {
+            assert_eq!(report.sent.messages, 2, "{report:?}");
+            assert_eq!((report.reached, report.reconnects), (true, 0), "{report:?}");
+            assert_eq!(report.failure, None);
+        }
+        assert_eq!((absent.reached, absent.lost.messages), (false, 2));
+        assert!(absent.failure.is_some());
+        assert_eq!(std::fs::read(file).unwrap(), bytes);
+    }
+
+    /// What is sent to nobody is lost, and counted as that; who comes then gets a stream from its beginning.
+    #[test]
+    fn datagrams_that_nobody_takes_are_lost_and_do_not_end_it() {
+        let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        let to = socket.local_addr().unwrap();
+        drop(socket);
+        let address = Address::Udp(to.to_string());
+        let mut fan_out = FanOut::start(&[address], QUEUE_BYTES, false).unwrap();
+        let settled = |fan_out: &FanOut, count: u64| {
+            let until = Instant::now() + Duration::from_secs(20);
+            loop {
+                let report = fan_out.reports().remove(0);
+                if report.sent.messages + report.lost.messages == count {
+                    return report;
+                }
+                assert!(Instant::now() < until, "{report:?}");
+                std::thread::sleep(Duration::from_millis(2));
+            }
+        };
+        fan_out.give(&message(0), 1);
+        fan_out.give(&message(1), 1);
+        let report = settled(&fan_out, 2);
+        assert_eq!((report.lost.messages, report.reached), (2, false));
+        assert!(report.failure.is_some());
+        let socket = std::net::UdpSocket::bind(to).unwrap();
+        socket
+            .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
-        let address = Address::Tcp(free.to_string());
-        let error = FanOut::start(&[address], 1).err().unwrap();
-        assert!(
-            error.to_string().starts_with(&format!("tcp://{free}: ")),
-            "{error}"
-        );
+        fan_out.give(&message(2), 1);
+        let report = settled(&fan_out, 3);
+        assert_eq!((report.sent.messages, report.reached), (1, true));
+        assert_eq!((report.failure, report.reconnects), (None, 0));
+        let mut bytes = [0; 2000];
+        let length = socket.recv(&mut bytes).unwrap();
+        assert!(bytes[..length].ends_with(&message(2)));
+        // The first datagram of its stream.
+        assert_eq!(bytes[8..16], [0; 8]);
+        let _ = fan_out.finish(Duration::from_secs(2), true);
+        assert!(socket.recv(&mut bytes).unwrap() < 20, "the end");
+    }
+
+    #[test]
+    fn a_file_is_complete_or_marked() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.eecvs");
+        std::fs::write(&path, "old").unwrap();
+        let address = Address::File(path.clone());
+        let start = || FanOut::start(std::slice::from_ref(&address), QUEUE_BYTES, true).unwrap();
+        let mut fan_out = start();
+        fan_out.give(b"new", 1);
+        let reports = fan_out.finish(Duration::from_secs(2), false);
+        let failure = reports[0].failure.clone().unwrap();
+        assert!(failure.contains("incomplete-a.eecvs"), "{failure}");
+        assert_eq!(std::fs::read(&path).unwrap(), b"old");
+        assert!(FanOut::start(std::slice::from_ref(&address), QUEUE_BYTES, false).is_err());
+        let mut fan_out = start();
+        fan_out.give(b"new", 1);
+        let reports = fan_out.finish(Duration::from_secs(2), true);
+        assert_eq!(reports[0].failure, None);
+        assert_eq!(std::fs::read(&path).unwrap(), b"new");
+        assert!(!folder.path().join("incomplete-a.eecvs").exists());
+    }
+
+    #[test]
+    fn where_nobody_is_left_it_is_over() {
+        let mut fan_out =
+            FanOut::start(&[Address::File("/dev/full".into())], QUEUE_BYTES, false).unwrap();
+        let until = Instant::now() + Duration::from_secs(20);
+        while fan_out.write_all(b"bytes").is_ok() {
+            assert!(Instant::now() < until);
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        assert!(fan_out.is_over());
     }
 }

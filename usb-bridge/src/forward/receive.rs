@@ -1,5 +1,6 @@
 //! Frames and packets of a link to a file.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
@@ -13,9 +14,9 @@ use serde::Serialize;
 use super::demux::{Demux, Message};
 use super::packet::Packet;
 use crate::device::{self, Parse};
-use crate::link::listen::Listening;
+use crate::link::listen::{DATAGRAMS_BYTES, Listening};
 use crate::link::{Link, Received as Arrived};
-use crate::record::Kind;
+use crate::record::{self, Kind};
 use crate::session;
 use crate::stop::Stop;
 
@@ -25,14 +26,14 @@ const WAIT: Duration = Duration::from_millis(50);
 /// When it ends by itself.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Limits {
-    /// When the first sender has gone.
+    /// When the first sender of messages has gone.
     pub once: bool,
     /// After a time, or a number of events.
     pub limits: session::Limits,
 }
 
 /// What was received.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Received {
     /// Frames and packets.
     pub messages: u64,
@@ -44,28 +45,68 @@ pub struct Received {
     pub lost_messages: u64,
     /// Messages that came twice and were left out.
     pub repeated_messages: u64,
-    /// Bytes that belong to no message.
+    /// Bytes that belong to no whole message.
     pub damaged_bytes: u64,
+    /// Bytes of the message that was coming when the end was wished for.
+    pub unfinished_bytes: u64,
+    /// Datagrams that never came, or too late.
+    pub lost_datagrams: u64,
     /// Datagrams that came twice, late or from elsewhere, and were left out.
     pub late_datagrams: u64,
+    /// Datagrams that the system had no room for, where it tells.
+    pub overflown_datagrams: Option<u64>,
+    /// Bytes of datagrams that the system keeps while nobody takes them.
+    pub receive_buffer_bytes: Option<usize>,
     /// Senders, one after the other.
     pub senders: u64,
+    /// What a recording lacks though its messages came, by cause: as the frames themselves say, or words that
+    /// could not be used.
+    pub left_out: BTreeMap<&'static str, u64>,
 }
 
 impl Received {
-    /// One line about what was lost, or `None` where nothing was.
+    /// Whether anything that was sent is missing.
+    #[must_use]
+    pub const fn has_losses(&self) -> bool {
+        self.lost_messages > 0 || self.lost_datagrams > 0 || self.damaged_bytes > 0
+    }
+
+    /// One line about what was lost or left out, or `None` where nothing was.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         let met: Vec<String> = [
             (self.lost_messages, "messages lost"),
+            (self.lost_datagrams, "datagrams lost"),
             (self.repeated_messages, "messages that came twice"),
-            (self.damaged_bytes, "bytes of no message"),
+            (self.damaged_bytes, "bytes of no whole message"),
+            (
+                self.late_datagrams,
+                "datagrams that came late or from elsewhere",
+            ),
         ]
         .into_iter()
         .filter(|(n, _)| *n > 0)
+        .chain(self.left_out.iter().map(|(what, n)| (*n, *what)))
         .map(|(n, what)| format!("{what}: {n}"))
         .collect();
-        (!met.is_empty()).then(|| met.join("; "))
+        if met.is_empty() {
+            return None;
+        }
+        let mut warning = met.join("; ");
+        match self.overflown_datagrams {
+            Some(n) if n > 0 => warning += &format!("; the system had no room for {n} datagrams"),
+            _ => {}
+        }
+        match self.receive_buffer_bytes {
+            Some(bytes) if self.lost_datagrams > 0 && bytes < DATAGRAMS_BYTES => {
+                warning += &format!(
+                    "; it keeps {bytes} bytes of the {DATAGRAMS_BYTES} that were asked for: raise \
+                     net.core.rmem_max"
+                );
+            }
+            _ => {}
+        }
+        Some(warning)
     }
 }
 
@@ -127,13 +168,9 @@ pub fn receive(
 ) -> (Received, Result<()>) {
     let output = match kind {
         Kind::Events => Output::Events(None),
-        Kind::Frames => match File::create(path) {
-            Ok(file) => Output::Frames(BufWriter::with_capacity(1 << 16, file)),
-            Err(error) => {
-                let error = anyhow::Error::from(error)
-                    .context(format!("{}: cannot be created", path.display()));
-                return (Received::default(), Err(error));
-            }
+        Kind::Frames => match record::create(path) {
+            Ok(file) => Output::Frames(file),
+            Err(error) => return (Received::default(), Err(error)),
         },
         Kind::Stream => {
             let error = anyhow::anyhow!(
@@ -156,8 +193,15 @@ pub fn receive(
     let mut received = receiver.received;
     received.lost_messages = receiver.numbers.lost;
     received.repeated_messages = receiver.numbers.repeated;
-    received.late_datagrams = link.late();
     received.senders = link.senders();
+    if let Some(datagrams) = link.datagrams() {
+        received.lost_messages += datagrams.lost_messages;
+        received.damaged_bytes += datagrams.cut_bytes;
+        received.lost_datagrams = datagrams.lost;
+        received.late_datagrams = datagrams.late;
+        received.overflown_datagrams = datagrams.overflown;
+        received.receive_buffer_bytes = Some(datagrams.granted_bytes);
+    }
     (received, outcome.and(finished))
 }
 
@@ -165,69 +209,87 @@ impl Receiver<'_> {
     fn run(&mut self, link: &mut Listening, limits: Limits, stop: &Stop) -> Result<()> {
         let started = Instant::now();
         let mut demux = Demux::default();
-        loop {
+        let mut senders = 0;
+        let is_wished = loop {
             let session::Limits { duration, events } = limits.limits;
             let over = stop.is_asked()
                 || duration.is_some_and(|duration| started.elapsed() >= duration)
                 || events.is_some_and(|events| self.received.events >= events);
             if over {
-                break;
+                break true;
             }
-            let gone = match link.receive(WAIT)? {
+            let has_ended = match link.receive(WAIT)? {
                 Arrived::Bytes { bytes, .. } => {
                     demux.push(bytes);
                     false
                 }
                 Arrived::Lost { .. } => {
                     demux.interrupt();
-                    // A sender that was started anew counts from 0.
-                    self.numbers.sequence = Sequence::new();
-                    self.parser = None;
+                    if link.senders() != senders {
+                        // A sender that was started anew counts from 0.
+                        self.numbers.sequence = Sequence::new();
+                        self.let_go();
+                    }
                     false
                 }
-                Arrived::Nothing => limits.once && link.senders() > 0 && !link.has_sender(),
+                Arrived::Nothing => limits.once && link.had_sender() && !link.has_sender(),
                 Arrived::Ended => true,
             };
-            self.take(&mut demux)?;
-            if gone {
-                break;
+            senders = link.senders();
+            if self.take(&mut demux)? {
+                link.prove();
+            }
+            if has_ended {
+                break false;
+            }
+        };
+        if is_wished && link.has_sender() {
+            // The rest would have come.
+            self.received.unfinished_bytes = demux.rest_bytes() as u64;
+            link.forgive();
+        } else {
+            while demux.rest_bytes() > 0 {
+                demux.interrupt();
+                self.take(&mut demux)?;
             }
         }
-        demux.finish();
         self.received.damaged_bytes = demux.damaged_bytes();
         Ok(())
     }
 
-    fn take(&mut self, demux: &mut Demux) -> Result<()> {
+    /// Takes the messages that are whole; whether there was one.
+    fn take(&mut self, demux: &mut Demux) -> Result<bool> {
+        let mut has_any = false;
         while let Some(message) = demux.next_message() {
+            has_any = true;
             match message {
-                Message::Packet(packet) => {
-                    self.received.bytes += packet.words.len() as u64;
-                    self.packet(&packet)?;
-                }
+                Message::Packet(packet) => self.packet(&packet)?,
                 Message::Frame(frame) => {
                     let (length, header) = (frame.bytes, frame.header);
-                    self.received.messages += 1;
-                    self.received.bytes += length as u64;
-                    self.received.events += u64::from(header.events);
-                    let sensor = header.sensor;
                     if self.numbers.follow(header.sequence).is_none() {
                         continue;
                     }
+                    self.count(length, header.events);
                     let bytes = demux.last(length);
                     match &mut self.output {
                         Output::Frames(file) => file.write_all(bytes).with_context(|| {
                             format!("{}: cannot be written", self.path.display())
                         })?,
                         Output::Events(_) => {
-                            self.follow("eecvs/frames", sensor)?;
+                            self.follow("eecvs/frames", header.sensor)?;
                             self.parse(bytes)?;
                         }
                     }
                 }
             }
         }
-        Ok(())
+        Ok(has_any)
+    }
+
+    const fn count(&mut self, bytes: usize, events: u32) {
+        self.received.messages += 1;
+        self.received.bytes += bytes as u64;
+        self.received.events += events as u64;
     }
 
     fn packet(&mut self, packet: &Packet<'_>) -> Result<()> {
@@ -237,11 +299,10 @@ impl Receiver<'_> {
                 self.path.display()
             );
         };
-        self.received.messages += 1;
-        self.received.events += u64::from(packet.events);
         let Some(after_gap) = self.numbers.follow(packet.sequence) else {
             return Ok(());
         };
+        self.count(packet.words.len(), packet.events);
         let is_new = self.follow(packet.encoding, packet.sensor)?;
         if (after_gap || is_new || packet.after_loss)
             && let Some((_, _, parser)) = &mut self.parser
@@ -269,6 +330,7 @@ impl Receiver<'_> {
         let Some(parser) = parser else {
             bail!("packets of {encoding}, which this version does not know: use a newer one");
         };
+        self.let_go();
         self.parser = Some((encoding.to_owned(), sensor, parser));
         Ok(true)
     }
@@ -288,7 +350,17 @@ impl Receiver<'_> {
         writer.write(&self.events)
     }
 
+    /// Is done with the parser, and keeps what it has found.
+    fn let_go(&mut self) {
+        if let Some((_, _, parser)) = self.parser.take() {
+            for (cause, n) in parser.losses().iter() {
+                *self.received.left_out.entry(cause).or_default() += n;
+            }
+        }
+    }
+
     fn finish(&mut self) -> Result<()> {
+        self.let_go();
         match std::mem::replace(&mut self.output, Output::Events(None)) {
             Output::Frames(mut file) => file
                 .flush()

@@ -7,12 +7,15 @@ use std::os::unix::net::UnixStream;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::address::Address;
-use super::datagram::{Cutter, PART_BYTES_MAX};
+use super::datagram::Cutter;
+use crate::record;
 
 /// How long a connection may take to come about.
 const CONNECT: Duration = Duration::from_secs(3);
 /// How long a write waits before it is asked whether it may go on.
 const WAIT: Duration = Duration::from_millis(100);
+/// Datagrams that say the end: one that is lost is not the only one.
+const ENDS: usize = 3;
 
 /// An open way to a consumer.
 #[derive(Debug)]
@@ -30,7 +33,7 @@ pub enum Sink {
 }
 
 impl Sink {
-    /// Opens the way to an address.
+    /// Opens the way to an address; to a file, what is there is written anew.
     ///
     /// # Errors
     /// Nobody is there, or the file cannot be created.
@@ -53,7 +56,7 @@ impl Sink {
                 stream.set_write_timeout(Some(WAIT))?;
                 Self::Unix(stream)
             }
-            Address::File(path) => Self::File(File::create(path)?),
+            Address::File(path) => Self::File(record::file(path)?),
             Address::Stdout => Self::Stdout,
         })
     }
@@ -73,32 +76,66 @@ impl Sink {
                 out.flush()
             }
             Self::Udp(socket, cutter, datagram) => {
-                for part in message.chunks(PART_BYTES_MAX) {
-                    cutter.cut(part, datagram);
-                    match socket.send(datagram) {
-                        Ok(_) => {}
-                        // Nobody listens just now, or the system has no room: the number that is
-                        // missing tells who comes later.
-                        Err(error)
-                            if matches!(
-                                error.kind(),
-                                ErrorKind::ConnectionRefused
-                                    | ErrorKind::WouldBlock
-                                    | ErrorKind::TimedOut
-                            ) => {}
-                        Err(error) => return Err(error),
+                let mut dropped = Ok(());
+                let sent = cutter.cut(message, datagram, |datagram| match socket.send(datagram) {
+                    Ok(_) => Ok(()),
+                    // The number that is missing tells the receiver.
+                    Err(error) if is_full(&error) => {
+                        dropped = Err(ErrorKind::WouldBlock.into());
+                        Ok(())
                     }
+                    Err(error) => Err(error),
+                });
+                // What the host there answered, where it did at once.
+                let sent = sent.and_then(|()| match socket.take_error()? {
+                    Some(error) => Err(error),
+                    None => Ok(()),
+                });
+                if sent.is_err() {
+                    // Nobody had the stream so far: whoever comes gets one from its beginning.
+                    cutter.begin_anew();
                 }
-                Ok(())
+                sent.and(dropped)
             }
         }
+    }
+
+    /// Says that the stream has ended, where the end of the way itself does not.
+    pub fn end(&mut self) {
+        if let Self::Udp(socket, cutter, datagram) = self
+            && !cutter.is_at_start()
+        {
+            cutter.end(datagram);
+            for _ in 0..ENDS {
+                // Whoever does not hear of it waits on.
+                let _ = socket.send(datagram);
+            }
+        }
+    }
+
+    /// Whether the way is there after that error, though what was sent is lost: datagrams have no connection.
+    #[must_use]
+    pub fn survives(&self, error: &io::Error) -> bool {
+        let is_away = matches!(
+            error.kind(),
+            ErrorKind::ConnectionRefused
+                | ErrorKind::HostUnreachable
+                | ErrorKind::NetworkUnreachable
+                | ErrorKind::NetworkDown
+        );
+        matches!(self, Self::Udp(..)) && (is_away || is_full(error))
     }
 
     /// Whether a lost way is worth to be tried again.
     #[must_use]
     pub const fn comes_back(&self) -> bool {
-        matches!(self, Self::Tcp(_) | Self::Unix(_))
+        matches!(self, Self::Tcp(_) | Self::Udp(..) | Self::Unix(_))
     }
+}
+
+/// Whether the system had no room for a datagram.
+fn is_full(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut)
 }
 
 fn send_all(stream: &mut impl Write, message: &[u8], goes_on: &dyn Fn() -> bool) -> io::Result<()> {
