@@ -62,7 +62,7 @@ fn a_lost_frame_is_told_behind_all_that_decodes() {
     folder.write("lost.eecvs", frames.concat());
     folder
         .eecvs("decode lost.eecvs -o decoded.raw")
-        .warns(&["frames lost: 1"]);
+        .loses(&["frames lost: 1"]);
     let converted = folder.eecvs("convert lost.eecvs converted.raw");
     assert_eq!(converted.status, Some(1), "{converted}");
     assert!(converted.stderr.contains("frames lost: 1"), "{converted}");

@@ -122,7 +122,7 @@ fn what_cannot_be_played_is_told_in_a_line() {
     folder.write("damaged.eecvs", &bytes);
     folder
         .eecvs("view damaged.eecvs --terminal-columns 20")
-        .warns(&["damaged.eecvs", "damaged bytes"]);
+        .loses(&["damaged.eecvs", "damaged bytes"]);
     // Other times, as of another clock.
     folder.write("later.csv", "t,x,y,p\n900000000,0,0,1\n");
     folder
