@@ -489,7 +489,7 @@ fn windows_of_two_sensors_match_on_a_grid() {
     assert_eq!(folder.events("back.csv").1, folder.events("quiet.csv").1);
     folder
         .eecvs("encode quiet.csv -o o.eecvs --width 8 --height 8 --region 4,4,5,4")
-        .fails(&["--region", "8 columns"]);
+        .fails(&["--region", "8 x 8"]);
     folder
         .eecvs("encode quiet.csv -o o.eecvs --width 8 --height 8 --region 4,4,4,4")
         .ok();

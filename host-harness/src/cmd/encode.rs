@@ -323,7 +323,7 @@ impl CodecOptions {
                 |from: u16, side: u16, of: u16| u32::from(from) + u32::from(side) <= u32::from(of);
             ensure!(
                 is_inside(x, width, sensor.width) && is_inside(y, height, sensor.height),
-                "--region {x},{y},{width},{height}: not inside of the sensor, which has {} columns and {} rows",
+                "--region {x},{y},{width},{height}: reaches outside of the sensor of {} x {}",
                 sensor.width,
                 sensor.height
             );

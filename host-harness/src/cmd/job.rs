@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::Args;
 use eecvs_nostd::{Config, Event, Sensor};
+use serde::Serialize;
 
 use super::encode::CodecOptions;
 use super::options::{OutputOptions, ReadingOptions};
@@ -39,7 +40,7 @@ pub struct JobOptions {
 
     /// Keep the frames that came back in a file
     #[arg(short, long, value_name = "OUT.eecvs")]
-    output: Option<PathBuf>,
+    pub output: Option<PathBuf>,
 
     #[command(flatten)]
     codec: CodecOptions,
@@ -56,8 +57,9 @@ pub struct JobOptions {
     #[arg(long)]
     drop_when_full: bool,
 
+    /// Whether it may replace a file.
     #[command(flatten)]
-    overwrite: OutputOptions,
+    pub overwrite: OutputOptions,
 
     /// Print one JSON object instead of the table
     #[arg(long)]
@@ -186,31 +188,69 @@ impl Prepared<'_> {
     }
 }
 
-/// What became of the events, for people.
-#[must_use]
-pub fn account(outcome: &Outcome) -> Vec<(&'static str, String)> {
-    let status = &outcome.status;
-    let compared = |frames: u64| match outcome.compared {
-        true => frames.to_string(),
-        false => "not compared".to_owned(),
-    };
-    vec![
-        ("hot pixels", status.hot_pixels.to_string()),
-        ("events", outcome.events.to_string()),
-        ("  encoded", outcome.events_encoded.to_string()),
-        ("  late", outcome.events_late.to_string()),
-        ("  filtered", outcome.events_filtered.to_string()),
-        (
-            "  left out by the rate control",
-            outcome.events_thinned.to_string(),
-        ),
-        ("  lost", outcome.events_lost.to_string()),
-        ("windows", outcome.windows.to_string()),
-        ("  events at most", status.window_events.to_string()),
-        ("frames", outcome.frames.to_string()),
-        ("  identical", compared(outcome.frames_identical)),
-        ("  different", compared(outcome.frames_different)),
-    ]
+/// What became of the events; the fields are JSON keys, one for every row of the table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Account {
+    hot_pixels: u32,
+    events: u64,
+    events_encoded: u64,
+    events_late: u64,
+    events_filtered: u64,
+    events_thinned: u64,
+    events_lost: u64,
+    windows: u64,
+    window_events: u32,
+    frames: u64,
+    /// Nothing where the host has no frames to compare with.
+    frames_identical: Option<u64>,
+    frames_different: Option<u64>,
+}
+
+impl Account {
+    /// Of what an encoder has done.
+    #[must_use]
+    pub fn new(outcome: &Outcome) -> Self {
+        let compared = |frames: u64| outcome.compared.then_some(frames);
+        Self {
+            hot_pixels: outcome.status.hot_pixels,
+            events: outcome.events,
+            events_encoded: outcome.events_encoded,
+            events_late: outcome.events_late,
+            events_filtered: outcome.events_filtered,
+            events_thinned: outcome.events_thinned,
+            events_lost: outcome.events_lost,
+            windows: outcome.windows,
+            window_events: outcome.status.window_events,
+            frames: outcome.frames,
+            frames_identical: compared(outcome.frames_identical),
+            frames_different: compared(outcome.frames_different),
+        }
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn rows(&self) -> Vec<(&'static str, String)> {
+        let compared = |frames: Option<u64>| {
+            frames.map_or_else(|| "not compared".to_owned(), |frames| frames.to_string())
+        };
+        vec![
+            ("hot pixels", self.hot_pixels.to_string()),
+            ("events", self.events.to_string()),
+            ("  encoded", self.events_encoded.to_string()),
+            ("  late", self.events_late.to_string()),
+            ("  filtered", self.events_filtered.to_string()),
+            (
+                "  left out by the rate control",
+                self.events_thinned.to_string(),
+            ),
+            ("  lost", self.events_lost.to_string()),
+            ("windows", self.windows.to_string()),
+            ("  events at most", self.window_events.to_string()),
+            ("frames", self.frames.to_string()),
+            ("  identical", compared(self.frames_identical)),
+            ("  different", compared(self.frames_different)),
+        ]
+    }
 }
 
 /// The time of the encoder's clock for an event, under `title`, for people.

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use serde::Serialize;
 
-use super::job::{self, JobOptions, Prepared};
+use super::job::{self, Account, JobOptions, Prepared};
 use super::output::rows;
 use crate::mcu::image::{self, ImageSizes};
 use crate::mcu::qemu::{Machine, Qemu};
@@ -44,12 +44,12 @@ pub struct Mcu {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 struct Report {
     machine: &'static str,
-    events: u64,
-    windows: u64,
-    frames_identical: u64,
-    frames_different: u64,
-    events_lost: u64,
+    #[serde(flatten)]
+    account: Account,
     instructions_per_event: f64,
+    receive_instructions_per_event: f64,
+    encode_instructions_per_event: f64,
+    send_instructions_per_event: f64,
     flash_bytes: u64,
     ram_bytes: u64,
     stack_bytes: u32,
@@ -74,15 +74,15 @@ impl Mcu {
         let outcome =
             encode(&mut qemu, &prepared).map_err(|error| self.explain(&mut qemu, error))?;
         drop(qemu);
+        // One instruction takes a nanosecond of the machine's time.
+        let [receive, encode, send] = outcome.ns_per_event();
         let report = Report {
             machine: self.machine.name(),
-            events: outcome.events,
-            windows: outcome.windows,
-            frames_identical: outcome.frames_identical,
-            frames_different: outcome.frames_different,
-            events_lost: outcome.events_lost,
-            // One instruction takes a nanosecond of the machine's time.
-            instructions_per_event: outcome.ns_per_event().iter().sum(),
+            account: Account::new(&outcome),
+            instructions_per_event: receive + encode + send,
+            receive_instructions_per_event: receive,
+            encode_instructions_per_event: encode,
+            send_instructions_per_event: send,
             flash_bytes: sizes.flash_bytes,
             ram_bytes: sizes.ram_bytes,
             stack_bytes: outcome.status.stack_bytes,
@@ -120,7 +120,7 @@ fn encode(qemu: &mut Qemu, prepared: &Prepared<'_>) -> Result<Outcome> {
 /// The report for people.
 fn table(report: &Report, outcome: &Outcome) -> String {
     let mut lines = vec![("machine", format!("{} (emulated)", report.machine))];
-    lines.extend(job::account(outcome));
+    lines.extend(report.account.rows());
     lines.extend(job::times("instructions/event", outcome));
     lines.extend([
         ("flash", format!("{} bytes", report.flash_bytes)),

@@ -14,9 +14,7 @@ use host_harness::output::{Output, is_stdout, keep_or_mark};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use serde::Serialize;
 
-use super::options::{
-    DeviceOptions, StreamOptions, check_region, order_rows, warn_of_losses, warn_of_order,
-};
+use super::options::{DeviceOptions, StreamOptions, order_rows, warn_of_losses, warn_of_order};
 use super::tell::{Telling, is_closed_pipe};
 use crate::record::{self, Kept, Kind, Order};
 use crate::session::{Report, Session};
@@ -156,7 +154,6 @@ impl Capture {
             Kind::Frames => {
                 let reader: Box<dyn EventReader> = Box::new(session.reader_of_sensor()?);
                 let config = self.codec.config(reader.sensor())?;
-                check_region(&config)?;
                 let (reader, config) = self.codec.look(reader, config);
                 let hot = self.codec.hot_pixels(reader.sensor())?;
                 let codec = Codec {

@@ -14,8 +14,7 @@ use host_harness::output::{self, Kind, is_stdout};
 use serde::Serialize;
 
 use super::options::{
-    DeviceOptions, StreamOptions, check_region, is_one_place, order_rows, warn_of_losses,
-    warn_of_order,
+    DeviceOptions, StreamOptions, is_one_place, order_rows, warn_of_losses, warn_of_order,
 };
 use super::tell::{Telling, warn};
 use crate::forward::address::Address;
@@ -197,7 +196,6 @@ impl Forward {
     fn frames(&self, session: &Session, fan_out: &mut FanOut, kept: &mut Kept) -> Result<()> {
         let reader: Box<dyn EventReader> = Box::new(session.reader_of_sensor()?);
         let config = self.codec.config(reader.sensor())?;
-        check_region(&config)?;
         let (reader, config) = self.codec.look(reader, config);
         let hot = self.codec.hot_pixels(reader.sensor())?;
         let codec = Codec {

@@ -2,8 +2,8 @@
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
-use host_harness::cmd::job::{self, JobOptions};
-use host_harness::cmd::output::{print, print_json, rows};
+use host_harness::cmd::job::{self, Account, JobOptions};
+use host_harness::cmd::output::rows;
 use host_harness::mcu::{Outcome, PATIENCE};
 use serde::Serialize;
 
@@ -33,19 +33,8 @@ pub struct Mcu {
 struct Report {
     device: String,
     firmware: String,
-    hot_pixels: u32,
-    events: u64,
-    events_encoded: u64,
-    events_late: u64,
-    events_filtered: u64,
-    events_thinned: u64,
-    events_lost: u64,
-    windows: u64,
-    window_events: u32,
-    frames: u64,
-    /// Nothing where the host has no frames to compare with.
-    frames_identical: Option<u64>,
-    frames_different: Option<u64>,
+    #[serde(flatten)]
+    account: Account,
     /// Of the encoder's own clock.
     ns_per_event: f64,
     receive_ns_per_event: f64,
@@ -57,22 +46,10 @@ struct Report {
 impl Report {
     fn new(device: String, firmware: String, outcome: &Outcome) -> Self {
         let [receive, encode, send] = outcome.ns_per_event();
-        let compared = |frames: u64| outcome.compared.then_some(frames);
         Self {
             device,
             firmware,
-            hot_pixels: outcome.status.hot_pixels,
-            events: outcome.events,
-            events_encoded: outcome.events_encoded,
-            events_late: outcome.events_late,
-            events_filtered: outcome.events_filtered,
-            events_thinned: outcome.events_thinned,
-            events_lost: outcome.events_lost,
-            windows: outcome.windows,
-            window_events: outcome.status.window_events,
-            frames: outcome.frames,
-            frames_identical: compared(outcome.frames_identical),
-            frames_different: compared(outcome.frames_different),
+            account: Account::new(outcome),
             ns_per_event: receive + encode + send,
             receive_ns_per_event: receive,
             encode_ns_per_event: encode,
@@ -95,6 +72,12 @@ impl Mcu {
                 "--device: neither sim: nor replay: takes events: name an encoder on USB or serial:PATH"
             );
         }
+        let output = self.job.output.as_deref();
+        self.place.check_trace(
+            self.job.overwrite.overwrite,
+            &output.into_iter().collect::<Vec<_>>(),
+            &[],
+        )?;
         let prepared = self.job.prepare()?;
         let only = Name::Usb(NAME.to_owned());
         let name = self.place.name().unwrap_or(&only);
@@ -108,9 +91,9 @@ impl Mcu {
         let firmware = encoder.source().info.firmware.clone();
         let report = Report::new(device, firmware, &outcome);
         if self.job.json {
-            print_json(&report)?;
+            self.job.place().print_json(&report)?;
         } else {
-            print(&table(&report, &outcome))?;
+            self.job.place().print(&table(&report, &outcome))?;
         }
         outcome.verdict().with_context(|| self.job.name())
     }
@@ -122,7 +105,7 @@ fn table(report: &Report, outcome: &Outcome) -> String {
         ("device", report.device.clone()),
         ("firmware", report.firmware.clone()),
     ];
-    lines.extend(job::account(outcome));
+    lines.extend(report.account.rows());
     lines.extend(job::times("ns/event, its clock", outcome));
     lines.push(("stack", format!("{} bytes", report.stack_bytes)));
     rows(lines)

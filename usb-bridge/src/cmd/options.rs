@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use eecvs_nostd::{Config, Region, Sensor};
+use eecvs_nostd::Sensor;
 use host_harness::cmd::encode::CodecOptions;
 use host_harness::cmd::output::rows;
 use host_harness::output;
@@ -129,7 +129,6 @@ impl DeviceOptions {
         let wish = match self.set_up {
             Some(sensor) => {
                 let config = codec.config_of_image(sensor)?;
-                check_region(&config)?;
                 Some((config, codec.hot_pixels(sensor)?))
             }
             None => None,
@@ -152,32 +151,6 @@ impl DeviceOptions {
     pub const fn sets_up(&self) -> bool {
         self.set_up.is_some()
     }
-}
-
-/// Refuses a region of which a part is outside of the sensor.
-///
-/// # Errors
-/// The message names both.
-pub fn check_region(config: &Config) -> Result<()> {
-    let Some(Region {
-        x,
-        y,
-        width,
-        height,
-    }) = config.filter.region
-    else {
-        return Ok(());
-    };
-    let sensor = config.window.sensor;
-    let fits =
-        |from: u16, length: u16, side: u16| u32::from(from) + u32::from(length) <= u32::from(side);
-    ensure!(
-        fits(x, width, sensor.width) && fits(y, height, sensor.height),
-        "--region {x},{y},{width},{height}: reaches outside of the sensor of {} x {}",
-        sensor.width,
-        sensor.height
-    );
-    Ok(())
 }
 
 /// Whether two names are one file, or would be: of files that are not there, one name in one folder.

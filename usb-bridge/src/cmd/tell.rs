@@ -3,7 +3,7 @@
 use std::io::{ErrorKind, Write, stderr};
 
 use anyhow::{Context, Error, Result};
-use host_harness::cmd::output::print;
+use host_harness::cmd::output::Place;
 use serde::Serialize;
 
 /// Where a report goes, and how.
@@ -26,12 +26,11 @@ impl Telling {
         } else {
             table()
         };
-        if self.is_stdout_taken {
-            // Nobody is left to tell that stderr is gone.
-            let _ = stderr().write_all(text.as_bytes());
-            return Ok(());
-        }
-        print(&text)
+        let place = match self.is_stdout_taken {
+            true => Place::Stderr,
+            false => Place::Stdout,
+        };
+        place.print(&text)
     }
 }
 
