@@ -118,7 +118,8 @@ impl Config {
     }
 
     /// The least budget, bytes a second: what the headers of all windows take, and an eighth more.
-    pub(crate) const fn budget_min(&self) -> u64 {
+    #[must_use]
+    pub const fn budget_min(&self) -> u64 {
         let window_us = match NonZeroU32::new(self.window.window_us) {
             Some(window_us) => window_us,
             None => NonZeroU32::MIN,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 use clap::error::ErrorKind;
 use eecvs_nostd::Sensor;
@@ -335,9 +335,13 @@ impl View {
         }
     }
 
-    /// What of the inputs was not shown, a line each; an error where frames of theirs are missing.
+    /// What of the inputs was not shown, a line each, of which the first is the error.
     fn warn(&self, frames: &Frames, played: &Played) -> Result<()> {
         let mut link = Ok(());
+        let mut missing = |error| match link {
+            Ok(()) => link = Err(error),
+            Err(_) => eprintln!("eecvs: {error:#}"),
+        };
         let inputs = [
             (Some(&self.file), Some(frames.original())),
             (self.decoded.as_ref(), frames.decoded()),
@@ -347,20 +351,16 @@ impl View {
                 continue;
             };
             let name = name_of(path);
-            if let Some(report) = slices.input().report() {
-                match tell_link(&name, report) {
-                    Err(error) if link.is_err() => eprintln!("eecvs: {error:#}"),
-                    Err(error) => link = Err(error),
-                    Ok(()) => {}
-                }
+            let report = slices.input().report();
+            if let Some(Err(error)) = report.map(|report| tell_link(&name, report)) {
+                missing(error);
             }
-            for (count, what) in [
+            let counts = [
                 (slices.late(), "are too far out of time order to be shown"),
                 (slices.outside(), "lie outside of the sensor"),
-            ] {
-                if count > 0 {
-                    eprintln!("eecvs: {name}: {count} events {what}");
-                }
+            ];
+            for (count, what) in counts.into_iter().filter(|(count, _)| *count > 0) {
+                missing(anyhow!("{name}: {count} events {what}"));
             }
         }
         if let Some(decoded) = &self.decoded

@@ -1,10 +1,13 @@
 //! Memory of an encoder on the host.
 
+use std::num::NonZeroU32;
+
 use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::arrival;
 use eecvs_nostd::coder::coefficients::CoefficientMemory;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
 use eecvs_nostd::coder::model::Model;
+use eecvs_nostd::config::ConfigError;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::transform::GRID_MAX;
 use eecvs_nostd::window::Head;
@@ -180,10 +183,33 @@ impl HostStorage {
                 }
                 Ok((windows, encoder))
             }
-            Err(error) => bail!(
-                "M must be 1 to 64, the grid 1 to 1024, bins 1 or more, a budget is for mode hybrid \
-                 and of some 146 bytes a window at the least, and so is the order of events ({error:?} is not)"
-            ),
+            Err(error) => bail!(reason(error, &config)),
+        }
+    }
+}
+
+/// What is wrong with a configuration.
+fn reason(error: ConfigError, config: &Config) -> String {
+    match error {
+        ConfigError::M => format!("M is {}: it must be 1 to 64", config.m),
+        ConfigError::Grid => format!(
+            "the grid is of {}: it must be of 1 to 1024",
+            config.grid.unwrap_or_default()
+        ),
+        ConfigError::Bins => "a volume has one bin or more".to_owned(),
+        ConfigError::Rate if config.mode.is_transform() => {
+            "a budget of bytes is for mode hybrid: coefficients cannot be thinned".to_owned()
+        }
+        ConfigError::Rate => format!(
+            "a budget of {} bytes a second is too small: the headers of windows of {} us alone take {}",
+            config.bytes_per_second.map_or(0, NonZeroU32::get),
+            config.window.window_us,
+            config.budget_min()
+        ),
+        ConfigError::Order => "the order of events is for mode hybrid".to_owned(),
+        // The memory is made for the configuration.
+        ConfigError::Scratch | ConfigError::Dense | ConfigError::Coefficients => {
+            format!("the encoder's memory is too small ({error:?}): please report this")
         }
     }
 }
