@@ -32,6 +32,9 @@ pub struct LinkReport {
     pub first_damage: Option<(u64, String)>,
     /// Frames that never came.
     pub frames_lost: u64,
+    /// Frames before the first one that came, as its number tells: whoever joined the stream under way has none
+    /// of them.
+    pub frames_before: u64,
     /// Frames that came twice; the second was left out.
     pub frames_repeated: u64,
     /// Frames that came after a later one; delivered where they came.
@@ -88,6 +91,7 @@ impl LinkReport {
             ));
         }
         for (frames, what) in [
+            (self.frames_before, "before the first one that is there"),
             (self.frames_lost, "lost"),
             (self.frames_repeated, "repeated"),
             (self.frames_reordered, "out of order"),
@@ -151,10 +155,14 @@ impl FrameOrder {
     /// Counts a frame's place in the sequence; whether it is to be delivered. `crc` is the frame's end.
     pub fn take(&mut self, header: &Header, crc: [u8; CRC_BYTES], report: &mut LinkReport) -> bool {
         let number = header.sequence;
+        if self.recent.iter().all(Option::is_none) {
+            report.frames_before += u64::from(number);
+        }
         let mut order = self.sequence.follow(number);
         if order == Order::Repeated && self.begins_anew(header, crc) {
             report.restarts += 1;
             *self = Self::default();
+            report.frames_before += u64::from(number);
             order = self.sequence.follow(number);
         }
         match order {

@@ -33,6 +33,9 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    if let Err(error) = cmd::stop::end_on_signals() {
+        return end("eecvs", Err(error));
+    }
     // Bad usage ends here, with exit status 2.
     let result = match Eecvs::parse().command {
         Command::Demo(command) => command.run(),

@@ -27,7 +27,7 @@ const READ_ANY: usize = 7;
 /// A kind of loss: file, whether it is of frames, status, part of what is said on stderr (nothing: silence).
 type Kind = (&'static str, bool, i32, &'static str);
 
-const KINDS: [Kind; 19] = [
+const KINDS: [Kind; 22] = [
     ("whole.raw", false, 0, ""),
     ("whole.eecvs", true, 0, ""),
     // Nothing is lost where a clock falls back: runs begin.
@@ -38,11 +38,14 @@ const KINDS: [Kind; 19] = [
     // Nothing is missing, but not all is as it was sent.
     ("twice.eecvs", true, 0, "repeated"),
     ("swapped.eecvs", true, 0, "out of order"),
+    ("late.eecvs", true, 0, "before the first"),
     ("joined.eecvs", true, 0, "numbering"),
     // Damage.
     ("cut.raw", false, 1, "cut.raw"),
     ("bad.csv", false, 1, "line"),
     ("outside.csv", false, 1, "outside"),
+    ("two.npy", false, 1, "follow"),
+    ("two.aedat4", false, 1, "another recording"),
     ("cut.eecvs", true, 1, "damaged bytes"),
     ("flipped.eecvs", true, 1, "damaged bytes"),
     ("lost.eecvs", true, 1, "frames lost"),
@@ -107,6 +110,12 @@ fn files(folder: &Folder) {
         "sensors.eecvs",
         [whole, folder.bytes("other.eecvs")].concat(),
     );
+    folder.write("late.eecvs", frames[2..].concat());
+    for name in ["two.npy", "two.aedat4"] {
+        folder.eecvs(&format!("convert whole.raw {name}")).ok();
+        let one = folder.bytes(name);
+        folder.write(name, [one.clone(), one].concat());
+    }
     folder.write("unknown.bin", [0x1b; 999]);
     folder.write("garbage.eecvs", [0x1b; 999]);
 }
@@ -186,6 +195,21 @@ fn what_is_left_out_by_wish_is_no_loss() {
         let outcome = folder.eecvs(line).ok();
         assert!(outcome.stdout.contains(counted), "{outcome}");
     }
+}
+
+#[test]
+fn a_format_can_be_named_for_any_name() {
+    let folder = Folder::new();
+    files(&folder);
+    for line in [
+        "decode whole.eecvs -o a --format evt3",
+        "convert whole.raw b --format csv",
+        "emulate motorcycle -o c.recording --format dat --duration-us 50000",
+    ] {
+        folder.eecvs(line).ok();
+    }
+    folder.eecvs("compare whole.raw a").ok();
+    folder.eecvs("compare whole.raw b").ok();
 }
 
 #[cfg(target_os = "linux")]

@@ -10,7 +10,6 @@ use super::options::{FollowOptions, FormatOptions, OutputOptions, ReadingOptions
 use super::order::SortOptions;
 use super::output::{Place, rows};
 use crate::convert::{Conversion, Converted, Crop, Filter, convert};
-use crate::output::Kind;
 
 /// Convert a recording, or a part of it, to another format
 #[derive(Debug, Args)]
@@ -106,7 +105,7 @@ impl Convert {
             format: Some(self.format.of(&self.output)?),
         };
         self.overwrite
-            .check(&self.output, Kind::Recording, [self.input.as_path()])?;
+            .check(&self.output, self.format.kind(), [self.input.as_path()])?;
         let reading = self.reading.reading();
         let converted = convert(&self.input, &self.output, &reading, &conversion)?;
         let place = Place::beside([self.output.as_path()]);

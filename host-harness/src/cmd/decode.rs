@@ -75,7 +75,7 @@ impl Decode {
             self.output.as_deref().unwrap_or(&self.input).display()
         );
         let outputs = [
-            (&self.output, Kind::Recording),
+            (&self.output, self.format.kind()),
             (&self.volume, Kind::Volume),
         ];
         for (output, kind) in outputs {

@@ -10,7 +10,6 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 use super::options::{FormatOptions, OutputOptions};
 use super::output::{Place, print};
 use crate::formats::{self, EventReader, EventWriter};
-use crate::output::Kind;
 use crate::progress::Progress;
 use crate::scene::{self, Emulator, PRESETS, Preset, SceneConfig};
 
@@ -83,7 +82,7 @@ impl Emulate {
                 scenes().trim_end()
             )
         })?;
-        self.overwrite.check(output, Kind::Recording, [])?;
+        self.overwrite.check(output, self.format.kind(), [])?;
         let format = self.format.of(output)?;
         let mut config = SceneConfig::new(preset, self.seed);
         if let Some((width, height)) = self.width.zip(self.height) {

@@ -159,7 +159,8 @@ pub struct CodecOptions {
     #[arg(long, value_name = "T")]
     origin_us: Option<u64>,
 
-    /// Send a frame for a window without events too: some 40 bytes that say that the sensor is there
+    /// Send a frame for a window without events too, up to 65,536 in a row: some 40 bytes that say that the sensor
+    /// is there
     #[arg(long)]
     every_window: bool,
 

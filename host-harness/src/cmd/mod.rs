@@ -20,7 +20,7 @@ pub mod order;
 pub mod output;
 pub mod report;
 pub mod split;
-mod stop;
+pub mod stop;
 pub mod variable;
 pub mod view;
 pub mod volume;

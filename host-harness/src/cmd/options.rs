@@ -90,7 +90,10 @@ pub struct FormatOptions {
 /// Parses the name of a format that is written.
 fn written_format(name: &str) -> Result<&'static Format, String> {
     let written = || FORMATS.iter().filter(|format| format.create.is_some());
+    let ending = format!(".{name}");
+    let by_ending = || written().find(|format| format.endings.contains(&ending.as_str()));
     let format = written().find(|format| format.name == name);
+    let format = format.or_else(by_ending);
     format.ok_or_else(|| {
         let names: Vec<&str> = written().map(|format| format.name).collect();
         format!("one of {}", names.join(", "))
@@ -98,6 +101,15 @@ fn written_format(name: &str) -> Result<&'static Format, String> {
 }
 
 impl FormatOptions {
+    /// What the output is, whose name need not tell where a format was asked for.
+    #[must_use]
+    pub const fn kind(self) -> Kind {
+        match self.format {
+            Some(_) => Kind::AnyRecording,
+            None => Kind::Recording,
+        }
+    }
+
     /// The format that was asked for, or that of the output's extension.
     ///
     /// # Errors
@@ -180,7 +192,7 @@ impl FollowOptions {
         }
         Ok(Some(Follow {
             idle: self.idle_s.map(|s| Duration::from_secs(s.into())),
-            stop: stop_on_signals()?,
+            stop: stop_on_signals(),
         }))
     }
 }

@@ -60,13 +60,6 @@ impl Split {
         if parts.is_empty() {
             bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
         }
-        let cut = parts.iter().filter(|part| part.first_number != 0).count();
-        if cut > 0 {
-            eprintln!(
-                "eecvs: {name}: the first frames of {cut} parts are missing, or frames of sensors of one size \
-                 alternate, which cannot be told apart"
-            );
-        }
         let link = LinkReport {
             // What it is here for.
             restarts: 0,

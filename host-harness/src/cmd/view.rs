@@ -171,7 +171,7 @@ impl View {
             to_us: self.to_us,
             slice_us: self.slice_us(),
         };
-        let stop = stop_on_signals()?;
+        let stop = stop_on_signals();
         // The screen first: a terminal or a name that cannot be used shows before a long search.
         let origin_us = first_us.unwrap_or(grid.from_us);
         let panels = if decoded.is_some() { 3 } else { 1 };

@@ -396,7 +396,7 @@ impl Aedat2Writer {
             format!(
                 "{}: AEDAT 2.0 holds DVS128 (128x128) and DAVIS240C (240x180), not {}x{}: \
                  write .aedat4",
-                path.display(),
+                crate::output::final_path(path).display(),
                 sensor.width,
                 sensor.height
             )

@@ -34,6 +34,9 @@ use super::{Assumption, Skipped};
 /// First bytes of every AEDAT 4.0 file.
 pub const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
 
+/// Bytes behind the packets in which another recording is looked for: more than any packet table has.
+const FOLLOWING_MAX: usize = 1 << 24;
+
 /// Longest IOHE table: the XML of real files has a few kB.
 const HEADER_MAX: usize = 1 << 20;
 
@@ -394,6 +397,7 @@ impl Aedat4Decoder {
         loop {
             let start = self.input.offset();
             if self.end.is_some_and(|end| start >= end) {
+                self.check_nothing_follows(start)?;
                 return Ok(false);
             }
             let mut header = [0; 8];
@@ -468,6 +472,22 @@ impl Aedat4Decoder {
                 None => self.skipped.add(damaged, 1),
             }
         }
+    }
+
+    /// Refuses a file behind whose packet table, at byte `at`, another recording begins: `cat` puts files so.
+    fn check_nothing_follows(&mut self, at: u64) -> anyhow::Result<()> {
+        self.input.seek(at)?;
+        let mut bytes = vec![0; FOLLOWING_MAX];
+        let filled = self.input.fill(&mut bytes)?;
+        bytes.truncate(filled);
+        let mut places = bytes.windows(MAGIC.len());
+        if let Some(place) = places.position(|bytes| bytes == MAGIC) {
+            return Err(self.input.error_at(
+                at + place as u64,
+                "another recording begins here: take the files apart",
+            ));
+        }
+        self.input.seek(at)
     }
 
     /// Whether the packet table begins with these bytes, behind which the input is.

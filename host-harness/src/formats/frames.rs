@@ -166,6 +166,7 @@ impl FramesDecoder {
         }
         let report = windows.report();
         for (kind, frames) in [
+            ("frames before the first one", report.frames_before),
             ("frames that came twice", report.frames_repeated),
             ("frames out of order, used", report.frames_reordered),
             ("new beginnings of the frames' numbers", report.restarts),

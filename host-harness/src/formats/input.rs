@@ -161,7 +161,10 @@ impl Input {
         while let Some(rest) = bytes.get_mut(filled..).filter(|rest| !rest.is_empty()) {
             let offset = self.offset();
             match self.buffer.read_some(rest, past) {
-                Ok(0) => break,
+                Ok(0) => {
+                    self.check_length(offset)?;
+                    break;
+                }
                 Ok(read) => filled += read,
                 Err(error) => return Err(self.unreadable(offset, error)),
             }
@@ -181,7 +184,22 @@ impl Input {
             .by_ref()
             .take(cap as u64)
             .read_until(b'\n', line);
-        read.map_err(|error| self.unreadable(offset, error))
+        let read = read.map_err(|error| self.unreadable(offset, error))?;
+        if read == 0 && cap > 0 {
+            self.check_length(offset)?;
+        }
+        Ok(read)
+    }
+
+    /// Refuses an end before the one that was there when the source was opened.
+    fn check_length(&self, offset: u64) -> anyhow::Result<()> {
+        anyhow::ensure!(
+            offset >= self.length,
+            "{}: byte {offset}: the file ends here and had {} bytes: it was cut while it was read",
+            self.name,
+            self.length
+        );
+        Ok(())
     }
 
     /// Error at the present position: name, offset and `what`.

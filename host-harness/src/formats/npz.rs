@@ -211,6 +211,23 @@ impl NpzDecoder {
         self.plan.fields.map(number)
     }
 
+    /// Refuses an array that others follow in its file, as `numpy.save` writes them into an open one. Of an array
+    /// that is read in several places the end is not known here.
+    fn check_end(&self) -> anyhow::Result<()> {
+        for (index, (stream, of)) in self.streams.iter().zip(&self.plan.streams).enumerate() {
+            let others = self.plan.streams.iter();
+            let readers = others.filter(|other| other.entry.name == of.entry.name);
+            if stream.left() > 0 && readers.count() == 1 {
+                let what = format!(
+                    "{} bytes follow the array in its file: save arrays to files of their own, or as one .npz",
+                    stream.left()
+                );
+                return Err(self.error(index, what));
+            }
+        }
+        Ok(())
+    }
+
     fn error(&self, stream: usize, what: impl std::fmt::Display) -> anyhow::Error {
         let what = format!("event {}: {what}", self.events);
         match self.plan.streams.get(stream) {
@@ -255,7 +272,7 @@ impl Decode for NpzDecoder {
                 // Where in the array the damage is nobody can tell, so the events are out by now.
                 None if count == 0 => {
                     return match self.streams.iter().position(Stream::is_damaged) {
-                        None => Ok(()),
+                        None => self.check_end(),
                         Some(stream) => {
                             Err(self.error(stream, "the array's CRC-32 is wrong: damaged data"))
                         }

@@ -74,6 +74,11 @@ impl Stream {
         (count, None)
     }
 
+    /// Bytes that follow what was read.
+    pub const fn left(&self) -> u64 {
+        self.reader.left()
+    }
+
     /// Whether the array has been read to its end and its CRC-32 is wrong.
     pub fn is_damaged(&self) -> bool {
         self.reader.is_damaged()

@@ -144,6 +144,11 @@ pub struct EntryReader {
 }
 
 impl EntryReader {
+    /// Bytes that have not been read.
+    pub const fn left(&self) -> u64 {
+        self.left
+    }
+
     /// Whether every byte has been read and the CRC-32 says that some of them are wrong.
     pub fn is_damaged(&self) -> bool {
         self.left == 0 && self.want.is_some_and(|want| self.crc.sum() != want)

@@ -13,6 +13,8 @@ pub enum Kind {
     Frames,
     /// Events, in a format that the ending names.
     Recording,
+    /// Events, in a format whatever the ending.
+    AnyRecording,
     /// An array.
     Volume,
     /// Pictures.
@@ -58,7 +60,7 @@ impl Kind {
 
     fn has(self, name: &str) -> bool {
         let ends = |ending: &&str| name.ends_with(*ending);
-        if self != Self::Recording {
+        if !matches!(self, Self::Recording | Self::AnyRecording) {
             return self.endings().iter().any(ends);
         }
         let formats = FORMATS
@@ -70,7 +72,7 @@ impl Kind {
     const fn endings(self) -> &'static [&'static str] {
         match self {
             Self::Frames => &[frames::ENDING],
-            Self::Recording => &[],
+            Self::Recording | Self::AnyRecording => &[],
             Self::Volume => &[".npy", ".npz"],
             Self::Picture => &[".gif", ".png"],
             Self::Chart => &[".svg"],

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::Result;
 
-use super::Output;
+use super::{Output, is_stdout};
 
 /// A file being written, whose errors name it; nothing of it stays when it is dropped before
 /// [`OutputFile::finish`].
@@ -44,7 +44,12 @@ impl OutputFile {
 
     fn named(&self, error: &io::Error) -> io::Error {
         let name = self.output.name().display();
-        io::Error::new(error.kind(), format!("{name}: cannot write: {error}"))
+        // Whoever reads stdout may have seen enough; a named pipe's reader was to have all.
+        let kind = match error.kind() {
+            io::ErrorKind::BrokenPipe if !is_stdout(self.output.name()) => io::ErrorKind::Other,
+            kind => kind,
+        };
+        io::Error::new(kind, format!("{name}: cannot write: {error}"))
     }
 }
 

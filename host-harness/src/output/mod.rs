@@ -7,6 +7,7 @@ mod same;
 use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result, bail, ensure};
 use tempfile::TempPath;
@@ -252,8 +253,22 @@ fn part(target: &Path) -> std::io::Result<TempPath> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let part = builder.tempfile_in(folder(target))?.into_temp_path();
+    let mut parts = PARTS.lock().unwrap_or_else(PoisonError::into_inner);
+    parts.push(part.to_path_buf());
+    drop(parts);
     like(target, &part)?;
     Ok(part)
+}
+
+/// Every temporary file of this process; those that have their names are there no more.
+static PARTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Removes the files that are not complete: the process ends.
+pub fn remove_parts() {
+    for part in PARTS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+        // It may have its name already.
+        let _ = std::fs::remove_file(part);
+    }
 }
 
 /// Gives `part` the rights of `target`, where that is there.
