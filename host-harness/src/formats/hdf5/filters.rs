@@ -13,7 +13,7 @@ const LZF: u16 = 32000;
 const BLOSC: u16 = 32001;
 const LZ4: u16 = 32004;
 const ZSTANDARD: u16 = 32015;
-const ECF: u16 = 36559;
+pub const ECF: u16 = 36559;
 
 /// Names of filters that compress and are not read: the filter's number, what it is called.
 const NOT_READ: [(&str, &str); 5] = [
