@@ -21,13 +21,15 @@
 //! the root states the unit. The sensor's size is that of `width` and `height`, `sensor_resolution`, Prophesee's
 //! `geometry` and the like, among the root's or the events' attributes or beside the events; else the caller's; else that of the data
 //! set's cameras; else the largest x and y plus one. Datasets may be contiguous or in chunks, packed by
-//! gzip, Blosc, LZF, LZ4 or Zstandard, with or without shuffle, or by Prophesee's ECF; other
+//! gzip, Blosc, Blosc 2, bitshuffle, LZF, LZ4 or Zstandard, with or without shuffle, or by Prophesee's ECF; other
 //! filters are named in the error. The reader holds one batch, some chunks, pieces of the file's structures, and
 //! where the chunks of ECF are. It does not follow links to other files.
 //!
 //! Files are written in DSEC's layout.
 
+mod bitshuffle;
 mod blosc;
+mod blosc2;
 mod chunks;
 mod copies;
 mod ecf;
@@ -35,6 +37,7 @@ mod file;
 mod filters;
 mod layout;
 mod prophesee;
+mod shuffle;
 mod structures;
 mod writer;
 
