@@ -16,12 +16,12 @@ I = np.arange(300)
 X, Y, ON = I * 7 % 64, I * 3 % 48, I % 3 == 0
 
 
-def mvsec(name, version, **storage):
+def mvsec(name, version, compression="gzip", **storage):
     """davis/left/events: x, y, t in seconds, p = 1 or -1."""
     seconds = (1506117862200001 + I * 17) / 1e6
     rows = np.stack([X, Y, seconds, np.where(ON, 1.0, -1.0)], axis=1)
     with h5py.File(FOLDER / name, "w", libver=version) as file:
-        file.create_dataset("davis/left/events", data=rows, compression="gzip", **storage)
+        file.create_dataset("davis/left/events", data=rows, compression=compression, **storage)
 
 
 mvsec("mvsec_earliest.h5", "earliest", chunks=(100, 4), shuffle=True)
@@ -58,3 +58,13 @@ dsec("blosc_bits.h5", **hdf5plugin.Blosc(cname="lz4", clevel=5, shuffle=hdf5plug
 dsec("lzf.h5", compression="lzf", shuffle=True)
 dsec("lz4.h5", **hdf5plugin.LZ4(nbytes=256))
 dsec("zstandard.h5", **hdf5plugin.Zstd())
+
+for codec in ["blosclz", "lz4", "zlib", "zstd"]:
+    dsec(f"blosc2_{codec}.h5", **hdf5plugin.Blosc2(cname=codec, clevel=9, filters=hdf5plugin.Blosc2.SHUFFLE))
+dsec("blosc2_bits.h5", **hdf5plugin.Blosc2(cname="lz4", clevel=5, filters=hdf5plugin.Blosc2.BITSHUFFLE))
+dsec("blosc2_delta.h5", **hdf5plugin.Blosc2(cname="zstd", clevel=5, filters=hdf5plugin.Blosc2.DELTA))
+dsec("blosc2_stored.h5", **hdf5plugin.Blosc2(clevel=0))
+mvsec("blosc2_table.h5", "latest", chunks=(100, 3), **hdf5plugin.Blosc2(cname="lz4", clevel=5))
+dsec("bitshuffle.h5", **hdf5plugin.Bitshuffle(cname="none"))
+dsec("bitshuffle_lz4.h5", **hdf5plugin.Bitshuffle(nelems=64, cname="lz4"))
+dsec("bitshuffle_zstd.h5", **hdf5plugin.Bitshuffle(cname="zstd"))

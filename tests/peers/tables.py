@@ -100,6 +100,14 @@ def hdf5_files(want):
         for codec, shuffle, level in itertools.product(codecs, shuffles, [1, 5, 9]):
             options = hdf5plugin.Blosc(cname=codec, shuffle=shuffle, clevel=level)
             packed[f"blosc {codec} shuffle {shuffle} level {level}"] = dict(options)
+        codecs, two = ["blosclz", "lz4", "lz4hc", "zlib", "zstd"], hdf5plugin.Blosc2
+        filters = {"none": two.NOFILTER, "bytes": two.SHUFFLE, "bits": two.BITSHUFFLE, "delta": two.DELTA}
+        for codec, (filter, number), level in itertools.product(codecs, filters.items(), [0, 5]):
+            options = two(cname=codec, clevel=level, filters=number)
+            packed[f"blosc2 {codec} {filter} level {level}"] = dict(options)
+        for codec, elements in itertools.product(["none", "lz4", "zstd"], [0, 64, 1000]):
+            options = hdf5plugin.Bitshuffle(nelems=elements, cname=codec)
+            packed[f"bitshuffle {codec} of {elements}"] = dict(options)
         packed["lz4"] = dict(hdf5plugin.LZ4())
         packed["lz4 of 1000 bytes"] = dict(hdf5plugin.LZ4(nbytes=1000))
         packed["zstd"] = dict(hdf5plugin.Zstd())

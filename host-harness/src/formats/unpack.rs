@@ -17,6 +17,24 @@ pub fn zstandard(packed: &[u8], size: usize) -> Option<Vec<u8>> {
     stream(decoder, size)
 }
 
+/// Fills `out` with what a decoder gives: returns how many bytes, one more than there is room for if it gives more.
+pub fn fill(mut decoder: impl Read, out: &mut [u8]) -> Option<usize> {
+    let mut filled = 0;
+    while let Some(rest @ [_, ..]) = out.get_mut(filled..) {
+        match decoder.read(rest).ok()? {
+            0 => return Some(filled),
+            read => filled += read,
+        }
+    }
+    let more = decoder.read(&mut [0]).ok()?;
+    Some(filled + more)
+}
+
+/// A frame of Zstandard, as [`fill`].
+pub fn zstandard_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
+    fill(ruzstd::decoding::StreamingDecoder::new(packed).ok()?, out)
+}
+
 /// A raw block of Snappy, of exactly `size` bytes.
 pub fn snappy(packed: &[u8], size: usize) -> Option<Vec<u8>> {
     if snap::raw::decompress_len(packed).ok()? != size {

@@ -1,6 +1,8 @@
 //! Writes small HDF5 files as HDF5 1.6's library does: superblock and object headers of version 0
 //! and 1, symbol tables, B-trees of version 1. Independent of the reader's crate.
 
+pub mod ecf;
+
 use std::io::Write;
 
 /// An address that leads nowhere.
@@ -72,6 +74,12 @@ pub enum Storage {
 pub enum Filter {
     Shuffle,
     Deflate,
+    /// Prophesee's, of their compounds.
+    Ecf(ecf::Form),
+    /// Packed by LZ4, and by nothing.
+    Bitshuffle(bool),
+    /// Of LZ4 and shuffled bytes, in a frame.
+    Blosc2,
     /// Only named, with this number.
     Other(u16),
 }
@@ -222,6 +230,14 @@ fn pipeline(filters: &[Filter], size: usize) -> Vec<u8> {
         let (number, value) = match filter {
             Filter::Deflate => (1, 6),
             Filter::Shuffle => (2, size as u32),
+            Filter::Ecf(_) => (36559, 0),
+            Filter::Blosc2 => (32026, 1),
+            Filter::Bitshuffle(is_packed) => {
+                message.extend([32008_u16, 0, 0, 5].map(u16::to_le_bytes).concat());
+                let values = [0, 4, size as u32, 0, u32::from(*is_packed) * 2, 0];
+                message.extend(values.map(u32::to_le_bytes).concat());
+                continue;
+            }
             Filter::Other(number) => (*number, 0),
         };
         message.extend([number, 0, 0, 1].map(u16::to_le_bytes).concat());
@@ -264,6 +280,16 @@ fn write_chunks(
                 raw = match filter {
                     Filter::Shuffle => shuffle(&raw, size),
                     Filter::Deflate => deflate(&raw),
+                    // The last chunk has only the events that are there.
+                    Filter::Ecf(form) => pack_ecf(&raw[..size * rows.min(shape[0] - row)], *form),
+                    Filter::Bitshuffle(false) => {
+                        let block = size * bitshuffle_block(size);
+                        raw.chunks(block)
+                            .flat_map(|block| shuffle_bits(block, size))
+                            .collect()
+                    }
+                    Filter::Bitshuffle(true) => bitshuffle(&raw, size),
+                    Filter::Blosc2 => blosc2(&raw, size),
                     Filter::Other(_) => raw,
                 };
             }
@@ -311,4 +337,102 @@ fn deflate(raw: &[u8]) -> Vec<u8> {
     let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
     encoder.write_all(raw).expect("memory");
     encoder.finish().expect("memory")
+}
+
+/// Prophesee's compounds: x, y (u16), p (i16), two bytes, t (i64).
+fn pack_ecf(raw: &[u8], form: ecf::Form) -> Vec<u8> {
+    let number = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
+    let event = |record: &[u8]| {
+        let t = u64::from_le_bytes(record[8..].try_into().expect("16 bytes"));
+        (t, number(record), number(&record[2..]), record[4])
+    };
+    let events: Vec<ecf::Numbers> = raw.chunks_exact(16).map(event).collect();
+    ecf::pack(&events, form, usize::MAX)
+}
+
+/// Elements of a block where the filter's values have none.
+fn bitshuffle_block(size: usize) -> usize {
+    (8192 / size / 8 * 8).max(128)
+}
+
+/// Eight elements at a time; what is left stays behind.
+fn shuffle_bits(raw: &[u8], size: usize) -> Vec<u8> {
+    let whole = raw.len() / size / 8 * 8;
+    let mut planes = raw.to_vec();
+    planes[..whole * size].fill(0);
+    for (i, element) in raw[..whole * size].chunks_exact(size).enumerate() {
+        for bit in 0..8 * size {
+            let set = element[bit / 8] >> (bit % 8) & 1;
+            planes[bit * (whole / 8) + i / 8] |= set << (i % 8);
+        }
+    }
+    planes
+}
+
+fn bitshuffle(raw: &[u8], size: usize) -> Vec<u8> {
+    let block = size * bitshuffle_block(size);
+    let mut packed = (raw.len() as u64).to_be_bytes().to_vec();
+    packed.extend((block as u32).to_be_bytes());
+    let whole = raw.len() / (8 * size) * (8 * size);
+    for block in raw[..whole].chunks(block) {
+        let block = lz4_flex::block::compress(&shuffle_bits(block, size));
+        packed.extend((block.len() as u32).to_be_bytes());
+        packed.extend(block);
+    }
+    packed.extend(&raw[whole..]);
+    packed
+}
+
+/// A buffer of Blosc 2: 16 bytes of header and 16 more, the blocks' places, the blocks, each of one stream.
+fn blosc2_buffer(raw: &[u8], size: usize, block: usize) -> Vec<u8> {
+    let blocks: Vec<Vec<u8>> = raw
+        .chunks(block)
+        .map(|block| lz4_flex::block::compress(&shuffle(block, size)))
+        .collect();
+    let mut place = 32 + 4 * blocks.len();
+    let mut places = Vec::new();
+    let mut streams = Vec::new();
+    for block in &blocks {
+        places.extend((place as u32).to_le_bytes());
+        streams.extend((block.len() as u32).to_le_bytes());
+        streams.extend(block);
+        place += 4 + block.len();
+    }
+    // Version 5, LZ4, not split, a header of 32 bytes.
+    let mut buffer = vec![5, 1, 0x35, size as u8];
+    let lengths = [raw.len(), block, place];
+    buffer.extend(lengths.map(|length| (length as u32).to_le_bytes()).concat());
+    buffer.extend([0, 0, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    [buffer, places, streams].concat()
+}
+
+/// A frame of two buffers and their index; zeros are in the index alone.
+fn blosc2(raw: &[u8], size: usize) -> Vec<u8> {
+    let each = (raw.len() / 2).next_multiple_of(size);
+    let (mut buffers, mut index) = (Vec::new(), Vec::new());
+    for part in raw.chunks(each) {
+        if part.iter().all(|byte| *byte == 0) {
+            index.extend((0x81_u64 << 56).to_le_bytes());
+        } else {
+            index.extend((buffers.len() as u64).to_le_bytes());
+            buffers.extend(blosc2_buffer(part, size, 1000 * size));
+        }
+    }
+    let mut frame = b"\x9e\xa8b2frame\0\xd2\0\0\0\x61\xcf".to_vec();
+    let end = 0x61 + buffers.len();
+    frame.extend((end as u64).to_be_bytes());
+    frame.extend(b"\xa4\x12\0\x51\x03");
+    for length in [raw.len(), buffers.len()] {
+        frame.push(0xd3);
+        frame.extend((length as u64).to_be_bytes());
+    }
+    for length in [size, 1000 * size, each] {
+        frame.push(0xd2);
+        frame.extend((length as u32).to_be_bytes());
+    }
+    frame.extend(b"\xd1\0\x01\xd1\0\x01\xc2\xd8\x06");
+    frame.extend([0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    // Nothing more is said of the data.
+    frame.extend(b"\x93\xcd\0\x07\xde\0\0\xdc\0\0");
+    [frame, buffers, blosc2_buffer(&index, 8, index.len())].concat()
 }

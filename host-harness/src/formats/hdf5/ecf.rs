@@ -17,6 +17,9 @@
 //! Bits of x behind the last event, and packed events behind it, have no meaning.
 
 use std::cell::{Cell, RefCell};
+use std::ops::Range;
+
+use eecvs_nostd::{Event, Polarity, Sensor};
 
 /// Most events of a chunk.
 pub const EVENTS_MAX: usize = 65_535;
@@ -40,7 +43,7 @@ const RUN: usize = 8;
 /// What each column has behind its last event, for [`RUN`] numbers that begin at it.
 const SLACK: usize = 8;
 
-/// For the 32 sets of bits of an x, the events: the distances from it, and how many these are.
+/// For the 32 sets of bits of an x, the events: the distances from it, and how many these are; whether something is wrong.
 const MASKS: [([u16; 8], u8); 32] = masks();
 
 const fn masks() -> [([u16; 8], u8); 32] {
@@ -80,11 +83,7 @@ pub fn in_chunks_of<T>(bytes: usize, read: impl FnOnce() -> T) -> T {
 /// # Errors
 /// The chunk is damaged: what is wrong at which of its bytes.
 pub fn unpack(packed: &[u8]) -> Result<Vec<u8>, String> {
-    COLUMNS.with(|columns| {
-        // Nobody else holds them: what is called from here does not unpack.
-        let mut fresh = Columns::default();
-        let mut held = columns.try_borrow_mut();
-        let columns = held.as_deref_mut().unwrap_or(&mut fresh);
+    COLUMNS.with_borrow_mut(|columns| {
         let count = columns.read(packed)?;
         Ok(columns.records(count, CHUNK_BYTES.get()))
     })
@@ -92,7 +91,7 @@ pub fn unpack(packed: &[u8]) -> Result<Vec<u8>, String> {
 
 /// The columns of a chunk.
 #[derive(Default)]
-struct Columns {
+pub struct Columns {
     t: Vec<u64>,
     x: Vec<u16>,
     y: Vec<u16>,
@@ -101,7 +100,10 @@ struct Columns {
 
 impl Columns {
     /// Reads a chunk, and returns its number of events.
-    fn read(&mut self, packed: &[u8]) -> Result<usize, String> {
+    ///
+    /// # Errors
+    /// The chunk is damaged: what is wrong at which of its bytes.
+    pub fn read(&mut self, packed: &[u8]) -> Result<usize, String> {
         let mut rest = Rest {
             bytes: packed,
             all: packed.len(),
@@ -135,6 +137,15 @@ impl Columns {
     }
 
     fn read_times(&mut self, rest: &mut Rest<'_>, count: usize) -> Result<(), String> {
+        if let Some(used) = self.read_plain_times(rest.bytes, count) {
+            rest.take(used)?;
+            return Ok(());
+        }
+        // What is wrong, and where.
+        self.read_each_time(rest, count)
+    }
+
+    fn read_each_time(&mut self, rest: &mut Rest<'_>, count: usize) -> Result<(), String> {
         let mut time = u64::from_le_bytes(rest.array()?);
         let mut at = 0;
         while at < count {
@@ -152,6 +163,37 @@ impl Columns {
             at = fill(&mut self.t, at, run, count, time).ok_or_else(|| rest.too_many("times"))?;
         }
         Ok(())
+    }
+
+    /// As [`Columns::read_each_time`], but a longer step and the byte behind it at once: which bytes are of one
+    /// cannot be guessed, and wrong guesses take longer than all the rest. Returns the number of bytes read; `None`
+    /// where something is wrong, or steps are of more than 28 bits, or few bytes follow.
+    fn read_plain_times(&mut self, packed: &[u8], count: usize) -> Option<usize> {
+        const STEPS: u64 = 0xf0f0_f0f0_f0f0_f0f0;
+        let (start, mut rest) = packed.split_first_chunk()?;
+        let mut time = u64::from_le_bytes(*start);
+        let mut at = 0;
+        while at < count {
+            let eight = u64::from_le_bytes(*rest.first_chunk()?);
+            // Bytes of a longer step: all bits of their upper half are set.
+            let bytes = (!eight & STEPS).trailing_zeros() / 8;
+            let byte = eight.checked_shr(8 * bytes)?;
+            // Their lower halves, moved together.
+            let mut long = eight & !STEPS & !(u64::MAX << (8 * bytes));
+            long = (long | long >> 4) & 0x00ff_00ff_00ff_00ff;
+            long = (long | long >> 8) & 0x0000_ffff_0000_ffff;
+            long = (long | long >> 16) & 0xffff_ffff;
+            time = time.checked_add(long + (byte >> 4 & 15))?;
+            rest = rest.get(bytes as usize + 1..)?;
+            let mut run = (byte & 15) as usize;
+            if run == 15 {
+                let (more, behind) = rest.split_first_chunk()?;
+                rest = behind;
+                run = usize::from(u16::from_le_bytes(*more));
+            }
+            at = fill(&mut self.t, at, run, count, time)?;
+        }
+        Some(packed.len() - rest.len())
     }
 
     fn read_rows(&mut self, rest: &mut Rest<'_>, count: usize) -> Result<(), String> {
@@ -238,6 +280,35 @@ impl Columns {
             return Err(rest.damage("a row above 2,047"));
         }
         Ok(())
+    }
+
+    /// Whether the events at these places are on the sensor, at times that are not negative where they are
+    /// signed.
+    pub fn are_events(&self, places: Range<usize>, sensor: Sensor) -> bool {
+        // All are looked at, without a branch: that is quicker than to stop at the first that is not.
+        let most = |numbers: &[u16]| {
+            let numbers = numbers.get(places.clone()).unwrap_or_default();
+            numbers.iter().fold(0, |most, number| most.max(*number))
+        };
+        // The times ascend.
+        let last = self.t.get(places.clone()).and_then(<[u64]>::last);
+        last.is_none_or(|last| i64::try_from(*last).is_ok())
+            && sensor.contains(most(&self.x), most(&self.y))
+    }
+
+    /// The events at these places.
+    pub fn events(&self, places: Range<usize>) -> impl ExactSizeIterator<Item = Event> {
+        let t = self.t.get(places.clone()).unwrap_or_default();
+        let x = self.x.get(places.clone()).unwrap_or_default();
+        let y = self.y.get(places.clone()).unwrap_or_default();
+        let p = self.p.get(places).unwrap_or_default();
+        let columns = t.iter().zip(x).zip(y.iter().zip(p));
+        columns.map(|((t, x), (y, p))| Event {
+            t_us: *t,
+            x: *x,
+            y: *y,
+            polarity: Polarity::from_bool(*p != 0),
+        })
     }
 
     /// The records of `count` events, and [`NO_EVENT`] up to `bytes` bytes.
@@ -453,6 +524,26 @@ mod tests {
             for form in FORMS {
                 let packed = pack(&events, form, run);
                 prop_assert_eq!(unpack(&packed), Ok(records(&events)), "{:?}", form);
+            }
+        }
+
+        /// What is read quickly is what is read with care.
+        #[test]
+        fn plain_times_are_times(
+            start in any::<u64>(), count in 0..60_usize,
+            bytes in prop::collection::vec(prop_oneof![any::<u8>(), Just(0xf3), Just(0x1f)], 0..80),
+        ) {
+            let packed = [&start.to_le_bytes()[..], &bytes].concat();
+            let [mut quick, mut careful] = [Columns::default(), Columns::default()];
+            quick.t.resize(count + SLACK, 0);
+            careful.t.resize(count + SLACK, 0);
+            let used = quick.read_plain_times(&packed, count);
+            let mut rest = Rest { bytes: &packed, all: packed.len() };
+            let is_read = careful.read_each_time(&mut rest, count).is_ok();
+            if used.is_some() {
+                prop_assert!(is_read);
+                prop_assert_eq!(used, Some(packed.len() - rest.bytes.len()));
+                prop_assert_eq!(&quick.t[..count], &careful.t[..count]);
             }
         }
 

@@ -9,6 +9,7 @@ use hdf5_reader::{
     SliceInfoElem, Storage, StorageBuffer, error::Error,
 };
 
+use super::chunks::Chunks;
 use super::{ecf, filters};
 use crate::formats::event_numbers::{Row, find_names};
 use crate::formats::input::ReadSeek;
@@ -42,17 +43,14 @@ const LIST_MAX: usize = 500;
 const DESCRIBE_MAX: usize = 24;
 
 /// The source as storage that any thread may read from.
-struct Source {
+pub struct Source {
     source: Mutex<Box<dyn ReadSeek>>,
     length: u64,
 }
 
-impl Storage for Source {
-    fn len(&self) -> u64 {
-        self.length
-    }
-
-    fn read_range(&self, offset: u64, len: usize) -> Result<StorageBuffer, Error> {
+impl Source {
+    /// Reads `len` bytes from `offset` on into `bytes`, in place of what it has.
+    pub fn read(&self, offset: u64, len: usize, bytes: &mut Vec<u8>) -> Result<(), Error> {
         let end = offset.checked_add(len as u64);
         // Before memory is asked for: lengths come from the file.
         if end.is_none_or(|end| end > self.length) {
@@ -62,15 +60,49 @@ impl Storage for Source {
                 available: self.length.saturating_sub(offset),
             });
         }
-        let mut bytes = vec![0; len];
+        // What is there already is not written twice.
+        bytes.resize(len, 0);
         // A thread that panicked while it read has left no state but the position, which is set here.
         let mut source = self
             .source
             .lock()
             .unwrap_or_else(std::sync::PoisonError::into_inner);
         source.seek(SeekFrom::Start(offset))?;
-        source.read_exact(&mut bytes)?;
+        source.read_exact(bytes)?;
+        Ok(())
+    }
+}
+
+impl Storage for Source {
+    fn len(&self) -> u64 {
+        self.length
+    }
+
+    fn read_range(&self, offset: u64, len: usize) -> Result<StorageBuffer, Error> {
+        let mut bytes = Vec::new();
+        self.read(offset, len, &mut bytes)?;
         Ok(StorageBuffer::from_vec(bytes))
+    }
+}
+
+/// Storage that keeps the pieces where the file's own structures are, and not those of the data, which are read
+/// once.
+struct Pieces {
+    source: Arc<Source>,
+    kept: BlockCacheStorage,
+}
+
+impl Storage for Pieces {
+    fn len(&self) -> u64 {
+        self.source.length
+    }
+
+    fn read_range(&self, offset: u64, len: usize) -> Result<StorageBuffer, Error> {
+        if len > BLOCK_BYTES {
+            self.source.read_range(offset, len)
+        } else {
+            self.kept.read_range(offset, len)
+        }
     }
 }
 
@@ -78,6 +110,7 @@ impl Storage for Source {
 pub struct Hdf5 {
     name: String,
     file: Hdf5File,
+    source: Arc<Source>,
     length: u64,
     is_matlab: bool,
 }
@@ -94,8 +127,12 @@ impl Hdf5 {
         let begins = source.rewind().and_then(|()| source.read_exact(&mut start));
         let is_matlab = begins.is_ok() && &start == MATLAB;
         let source = Mutex::new(source);
-        let storage =
-            BlockCacheStorage::new(Arc::new(Source { source, length }), BLOCK_BYTES, BLOCKS);
+        let source = Arc::new(Source { source, length });
+        let kept = BlockCacheStorage::new(source.clone(), BLOCK_BYTES, BLOCKS);
+        let storage = Pieces {
+            source: source.clone(),
+            kept,
+        };
         let options = OpenOptions::default()
             .with_filter_registry(filters::registry())
             .with_max_chunk_bytes(filters::CHUNK_BYTES)
@@ -107,6 +144,7 @@ impl Hdf5 {
         Ok(Self {
             name,
             file,
+            source,
             length,
             is_matlab,
         })
@@ -262,6 +300,11 @@ impl Hdf5 {
     /// Bytes of the file.
     pub fn length(&self) -> u64 {
         self.length
+    }
+
+    /// The chunks of a dataset of one dimension that this filter alone packs, see [`Chunks::find`].
+    pub fn chunks(&self, dataset: &Dataset, filter: u16) -> Option<Chunks> {
+        Chunks::find(&self.file, &self.source, dataset, filter)
     }
 
     /// Error about a dataset, at the byte where its description begins.

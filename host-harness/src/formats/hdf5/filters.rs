@@ -3,7 +3,7 @@
 
 use hdf5_reader::{FilterRegistry, error::Error};
 
-use super::{blosc, copies, ecf};
+use super::{bitshuffle, blosc, blosc2, copies, ecf};
 use crate::formats::unpack;
 
 /// Largest chunk, unpacked: HDF5's library writes some MB at the most unless told otherwise.
@@ -12,17 +12,13 @@ pub const CHUNK_BYTES: usize = 64 << 20;
 const LZF: u16 = 32000;
 const BLOSC: u16 = 32001;
 const LZ4: u16 = 32004;
+const BITSHUFFLE: u16 = 32008;
 const ZSTANDARD: u16 = 32015;
-const ECF: u16 = 36559;
+const BLOSC2: u16 = 32026;
+pub const ECF: u16 = 36559;
 
 /// Names of filters that compress and are not read: the filter's number, what it is called.
-const NOT_READ: [(&str, &str); 5] = [
-    ("307", "bzip2"),
-    ("32008", "bitshuffle"),
-    ("32013", "ZFP"),
-    ("32026", "Blosc2"),
-    ("32022", "SZ3"),
-];
+const NOT_READ: [(&str, &str); 3] = [("307", "bzip2"), ("32013", "ZFP"), ("32022", "SZ3")];
 
 /// What the user can do about a filter that is not read.
 pub fn advice(what: &str) -> String {
@@ -42,11 +38,22 @@ pub fn registry() -> FilterRegistry {
     };
     add(LZF, "LZF", |bytes| damaged(copies::lzf(bytes, CHUNK_BYTES)));
     add(BLOSC, "Blosc", |bytes| blosc::unpack(bytes, CHUNK_BYTES));
+    add(BLOSC2, "Blosc 2", |bytes| {
+        blosc2::unpack(bytes, CHUNK_BYTES)
+    });
     add(LZ4, "LZ4", |bytes| damaged(lz4(bytes)));
     add(ZSTANDARD, "Zstandard", |bytes| {
         damaged(unpack::zstandard(bytes, CHUNK_BYTES))
     });
     add(ECF, "ECF", ecf::unpack);
+    let bitshuffle = |bytes: &[u8], values: &[u32]| {
+        let unpacked = bitshuffle::unpack(bytes, values);
+        unpacked.map_err(|what| Error::DecompressionError(format!("bitshuffle: {what}")))
+    };
+    registry.register(
+        BITSHUFFLE,
+        Box::new(move |filter, bytes, _| bitshuffle(bytes, &filter.client_data)),
+    );
     registry
 }
 

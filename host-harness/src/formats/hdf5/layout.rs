@@ -5,7 +5,7 @@ use eecvs_nostd::Sensor;
 use hdf5_reader::{Dataset, Datatype, error::Error};
 
 use super::file::{Hdf5, fields, join, number_type, plain, read_column, read_records, read_table};
-use super::prophesee;
+use super::prophesee::{self, Packed};
 use crate::formats::BATCH_EVENTS;
 use crate::formats::event_numbers::{
     P, Row, SAMPLE_ROWS, T, X, Y, column_order, find_names, given_names, names_taken, order_taken,
@@ -309,12 +309,18 @@ impl Plan {
         file.stated_unit(&paths)
     }
 
-    /// The first rows.
+    /// The first rows; of compounds that are `packed`, from the chunk that is read next anyway.
     ///
     /// # Errors
     /// The first of them is damaged.
-    pub fn sample(&self, file: &Hdf5) -> anyhow::Result<Vec<Row>> {
-        self.read_whole(0, self.events.min(SAMPLE_TIMES as u64))
+    pub fn sample(&self, file: &Hdf5, packed: Option<&mut Packed>) -> anyhow::Result<Vec<Row>> {
+        let count = self.events.min(SAMPLE_TIMES as u64);
+        if let Some(packed) = packed
+            && let Some(rows) = packed.first_rows(count as usize)
+        {
+            return Ok(rows);
+        }
+        self.read_whole(0, count)
             .map_err(|error| self.error(file, 0, &error))
     }
 

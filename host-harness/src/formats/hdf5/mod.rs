@@ -21,29 +21,34 @@
 //! the root states the unit. The sensor's size is that of `width` and `height`, `sensor_resolution`, Prophesee's
 //! `geometry` and the like, among the root's or the events' attributes or beside the events; else the caller's; else that of the data
 //! set's cameras; else the largest x and y plus one. Datasets may be contiguous or in chunks, packed by
-//! gzip, Blosc, LZF, LZ4 or Zstandard, with or without shuffle; other filters are named in the error (Blosc
-//! 2, bitshuffle, Prophesee's ECF, of which no kept decoder exists but their own plugin). The reader holds one batch, some chunks and pieces of the file's
-//! structures. It does not follow links to other files.
+//! gzip, Blosc, Blosc 2, bitshuffle, LZF, LZ4 or Zstandard, with or without shuffle, or by Prophesee's ECF; other
+//! filters are named in the error. The reader holds one batch, some chunks, pieces of the file's structures, and
+//! where the chunks of ECF are. It does not follow links to other files.
 //!
 //! Files are written in DSEC's layout.
 
+mod bitshuffle;
 mod blosc;
+mod blosc2;
+mod chunks;
 mod copies;
 mod ecf;
 mod file;
 mod filters;
 mod layout;
 mod prophesee;
+mod shuffle;
 mod structures;
 mod writer;
 
-use eecvs_nostd::{Event, Sensor};
+use eecvs_nostd::Sensor;
 
 pub use self::file::MAGIC;
 pub use self::writer::Hdf5Writer;
 
 use self::file::Hdf5;
 use self::layout::Plan;
+use self::prophesee::Packed;
 use crate::formats::event_numbers::T;
 use crate::formats::format::{Format, Limits, Opening, Start};
 use crate::formats::input::{Batch, Decode, ReadSeek, Reader};
@@ -100,7 +105,9 @@ impl Hdf5Reader {
         let file = Hdf5::open(source, name)?;
         let plan = Plan::find(&file, place, reading)?;
         let (stated, sizes) = file.stated_size(&plan.place);
-        let sample = plan.sample(&file)?;
+        let compounds = plan.compounds();
+        let mut packed = compounds.and_then(|dataset| Packed::find(&file, dataset));
+        let sample = plan.sample(&file, packed.as_mut())?;
         let base = plan.base(&file, reading, stated)?;
         let rows = RowEvents::new(reading, plan.times, base, &sample);
         let mut rows = rows.map_err(|what| match plan.dataset(T) {
@@ -127,6 +134,7 @@ impl Hdf5Reader {
                     size: reading.size,
                     ..Reading::default()
                 },
+            packed,
             events: 0,
         }))
     }
@@ -139,6 +147,8 @@ pub struct Hdf5Decoder {
     rows: RowEvents,
     /// Nothing is to be corrected: records may be taken as they stand.
     is_plain: bool,
+    /// Compounds packed by ECF, if the events are such.
+    packed: Option<Packed>,
     events: u64,
 }
 
@@ -156,8 +166,15 @@ impl Hdf5Decoder {
             let count = (self.plan.events - self.events)
                 .min(batch.room() as u64)
                 .min(to_end.max(1));
-            let append = |events: &mut dyn ExactSizeIterator<Item = Event>| batch.extend(events);
-            if !prophesee::read(dataset, self.events, count, self.rows.sensor, append) {
+            let (start, sensor) = (self.events, self.rows.sensor);
+            let is_read = match &mut self.packed {
+                Some(packed) => {
+                    let first = start - start.checked_rem(chunk).unwrap_or(0);
+                    packed.read((first, start, count as usize), sensor, batch)
+                }
+                None => false,
+            };
+            if !is_read && !prophesee::read(dataset, start, count, sensor, batch) {
                 return;
             }
             self.events += count;

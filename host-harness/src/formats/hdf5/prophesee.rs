@@ -4,8 +4,13 @@
 use eecvs_nostd::{Event, Polarity, Sensor};
 use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type, error::Error};
 
-use super::ecf::RECORD_BYTES;
-use super::file::read_rows;
+use super::chunks::Chunks;
+use super::ecf::{Columns, RECORD_BYTES};
+use super::file::{Hdf5, read_rows};
+use super::filters;
+use crate::formats::event_numbers::Row;
+use crate::formats::input::Batch;
+use crate::formats::npy_header::Number;
 
 /// A compound as it stands in the file.
 #[derive(Clone)]
@@ -90,14 +95,86 @@ pub fn is_known(datatype: &Datatype) -> bool {
     u64::from(*size) == RECORD_BYTES as u64 && places.into_iter().all(is_all)
 }
 
-/// Appends the events of `count` compounds from `start` on to `events`; `false` where they are not all
+/// Compounds packed by ECF, and the chunk of them that is being read: its columns, of which the library would make
+/// records in memory of their own for every chunk.
+pub struct Packed {
+    chunks: Chunks,
+    bytes: Vec<u8>,
+    columns: Columns,
+    /// The first row of the chunk that was read last, and the number of its events: none where it is damaged.
+    held: Option<(u64, Option<usize>)>,
+}
+
+impl Packed {
+    /// The compounds of a dataset, if they are packed so.
+    pub fn find(file: &Hdf5, dataset: &Dataset) -> Option<Self> {
+        Some(Self {
+            chunks: file.chunks(dataset, filters::ECF)?,
+            bytes: Vec::new(),
+            columns: Columns::default(),
+            held: None,
+        })
+    }
+
+    /// Reads the chunk that begins at row `first`, unless it is held already; the number of its events.
+    fn hold(&mut self, first: u64) -> Option<usize> {
+        if let Some((held, events)) = self.held
+            && held == first
+        {
+            return events;
+        }
+        let read = self.chunks.read(first, &mut self.bytes);
+        let events = read.and_then(|()| self.columns.read(&self.bytes).ok());
+        self.held = Some((first, events));
+        events
+    }
+
+    /// t, x, y and p of the first `count` events, if they are of one chunk that is not damaged.
+    pub fn first_rows(&mut self, count: usize) -> Option<Vec<Row>> {
+        let events = self.hold(0)?;
+        if count > events {
+            return None;
+        }
+        let numbers = |event: Event| {
+            let [x, y] = [event.x, event.y].map(i64::from);
+            [event.t_us.cast_signed(), x, y, event.polarity as i64]
+        };
+        let rows = self.columns.events(0..count).map(numbers);
+        Some(
+            rows.map(|row| row.map(|number| Some(Number::Whole(number))))
+                .collect(),
+        )
+    }
+
+    /// Appends the `count` events from row `start` on, of the chunk that begins at row `first`, to `batch`;
+    /// `false` where they are not all there and on the sensor.
+    pub fn read(
+        &mut self,
+        (first, start, count): (u64, u64, usize),
+        sensor: Sensor,
+        batch: &mut Batch<'_>,
+    ) -> bool {
+        let Some(events) = self.hold(first) else {
+            return false;
+        };
+        let begin = usize::try_from(start - first).unwrap_or(usize::MAX);
+        let places = begin..begin.saturating_add(count);
+        if places.end > events || !self.columns.are_events(places.clone(), sensor) {
+            return false;
+        }
+        batch.extend(self.columns.events(places));
+        true
+    }
+}
+
+/// Appends the events of `count` compounds from `start` on to `batch`; `false` where they are not all
 /// events on the sensor, which whoever reads them one number after the other can tell more about.
 pub fn read(
     dataset: &Dataset,
     start: u64,
     count: u64,
     sensor: Sensor,
-    mut append: impl FnMut(&mut dyn ExactSizeIterator<Item = Event>),
+    batch: &mut Batch<'_>,
 ) -> bool {
     let Ok(records) = read_rows::<Record>(dataset, start, count) else {
         return false;
@@ -106,7 +183,7 @@ pub fn read(
         .iter()
         .fold(true, |all, record| all & record.is_event(sensor));
     if is_right {
-        append(&mut records.iter().map(Record::event));
+        batch.extend(records.iter().map(Record::event));
     }
     is_right
 }
