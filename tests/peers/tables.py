@@ -53,7 +53,8 @@ def check(name, got, want):
 
 
 def convert(source, path):
-    run = subprocess.run([comparison.eecvs, "convert", source, path, "--width", str(SIZE[0]), "--height", str(SIZE[1])],
+    size = ["--width", str(SIZE[0]), "--height", str(SIZE[1])]
+    run = subprocess.run([comparison.eecvs, "convert", "--overwrite", source, path, *size],
                          capture_output=True, text=True)
     return run.stderr if run.returncode != 0 else ""
 
