@@ -228,8 +228,11 @@ fn only_parts_of_one_window_are_put_together() {
     assert_eq!(windows(&[first, second, first])[0].2, 2);
     // A window of the same start begins with part 0, also after one whose end was lost.
     assert_eq!(shapes(&[first, first, second]), [1, 2]);
-    let changes: [fn(&mut Header); 7] = [
-        |h| h.sensor.width = 64,
+    // A frame of another sensor ends what is read.
+    let mut other = second;
+    other.sensor.width = 64;
+    assert_eq!(shapes(&[first, other, second]), [1]);
+    let changes: [fn(&mut Header); 6] = [
         |h| h.grid = 32,
         |h| h.m = 9,
         |h| h.transform = Transform::Dtft,
