@@ -307,6 +307,6 @@ fn a_configuration_that_cannot_run_is_refused_before_any_thread() {
         let source = Source::new(SENSOR, &[], &[1], End::Panic);
         let error = run(source, config, Limits::default(), threads, &mut Vec::new())
             .expect_err("M is 64 at most");
-        assert!(error.to_string().contains("M must be"), "{error}");
+        assert!(error.to_string().contains("M is 65"), "{error}");
     }
 }
