@@ -139,7 +139,7 @@ fn the_status_says_whether_anything_is_missing() {
             let expected = match file {
                 "sensors.eecvs" if is_apart => 0,
                 // Pictures go on in time: events of an earlier time are in none.
-                "back.csv" | "swapped.eecvs" if command.starts_with("view") => 1,
+                "back.csv" | "swapped.eecvs" | "joined.eecvs" if command.starts_with("view") => 1,
                 _ => status,
             };
             assert_eq!(outcome.status, Some(expected), "{outcome}");
