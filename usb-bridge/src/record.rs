@@ -3,7 +3,6 @@
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::num::NonZeroUsize;
-use std::os::fd::AsFd;
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -302,23 +301,11 @@ fn kept(
 /// # Errors
 /// It cannot be created; the message names it.
 pub fn create(path: &Path) -> Result<BufWriter<File>> {
-    let file = file(path).with_context(|| format!("{}: cannot be created", path.display()))?;
+    let file = output::create_bytes(path)
+        .with_context(|| format!("{}: cannot be created", path.display()))?;
     // Whoever reads stdout gets each frame when it is written.
     let room = if output::is_stdout(path) { 0 } else { 1 << 16 };
     Ok(BufWriter::with_capacity(room, file))
-}
-
-/// A file to write, or stdout as it is: opened by its name, it would be written from its beginning, and a
-/// socket could not be.
-///
-/// # Errors
-/// It cannot be created.
-pub fn file(path: &Path) -> io::Result<File> {
-    if output::is_stdout(path) {
-        let stdout = io::stdout().as_fd().try_clone_to_owned()?;
-        return Ok(File::from(stdout));
-    }
-    File::create(path)
 }
 
 /// Writes what is buffered.

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
 use host_harness::formats;
+use host_harness::output::create_bytes;
 
 use crate::device::{self, Model, find};
 use crate::link::control::Control;
@@ -18,7 +19,6 @@ use crate::link::trace::{Place, Tracer};
 use crate::link::usb::{Attached, Bus, wait_for};
 use crate::link::{Link, LinkError, Outlet, Received};
 use crate::peripheral::stream::{Pace, Recording, Sent};
-use crate::record;
 use crate::session::Source;
 use crate::stop::Stop;
 
@@ -145,7 +145,7 @@ fn tracer(options: &Options, place: Place, name: &str) -> Result<Option<Tracer>>
         return Ok(None);
     };
     let of = path.display();
-    let file = record::file(path).with_context(|| format!("{of}: cannot be created"))?;
+    let file = create_bytes(path).with_context(|| format!("{of}: cannot be created"))?;
     let out = Box::new(BufWriter::new(file));
     let tracer = Tracer::new(out, place, name).with_context(|| format!("{of}: cannot be written"));
     tracer.map(Some)

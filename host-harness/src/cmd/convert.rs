@@ -109,11 +109,7 @@ impl Convert {
         let reading = self.reading.reading();
         let converted = convert(&self.input, &self.output, &reading, &conversion)?;
         let place = Place::beside([self.output.as_path()]);
-        if self.json {
-            place.print_json(&converted)?;
-        } else {
-            place.print(&table(&converted))?;
-        }
+        place.tell(self.json, &converted, || table(&converted))?;
         let followed = conversion.follow.is_some();
         tell_damage(converted.damage.as_deref(), Some(&self.output), followed)
     }

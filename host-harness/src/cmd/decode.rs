@@ -129,11 +129,7 @@ impl Decode {
         }
         let outputs = [&self.output, &self.volume].into_iter().flatten();
         let place = Place::beside(outputs.map(PathBuf::as_path));
-        if self.json {
-            place.print_json(&summary)?;
-        } else {
-            place.print(&table(&summary))?;
-        }
+        place.tell(self.json, &summary, || table(&summary))?;
         tell_link(&name, &summary.link)
     }
 }

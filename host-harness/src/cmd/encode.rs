@@ -159,7 +159,7 @@ pub struct CodecOptions {
     #[arg(long, value_name = "T")]
     origin_us: Option<u64>,
 
-    /// Send a frame for a window without events too, up to 65,536 in a row: some 40 bytes that say that the sensor
+    /// Send a frame for a window without events too, up to 65,536 in a row: 20 to 40 bytes that say that the sensor
     /// is there
     #[arg(long)]
     every_window: bool,
@@ -482,11 +482,7 @@ impl Encode {
         }
         let report = Report::new(&self.input, &self.output, &summary);
         let place = Place::beside([self.output.as_path()]);
-        if self.json {
-            place.print_json(&report)?;
-        } else {
-            place.print(&report.table())?;
-        }
+        place.tell(self.json, &report, || report.table())?;
         tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())?;
         tell_disorder(&self.input, &summary, self.allow_loss)
     }

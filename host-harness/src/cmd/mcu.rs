@@ -87,11 +87,8 @@ impl Mcu {
             ram_bytes: sizes.ram_bytes,
             stack_bytes: outcome.status.stack_bytes,
         };
-        if self.job.json {
-            self.job.place().print_json(&report)?;
-        } else {
-            self.job.place().print(&table(&report, &outcome))?;
-        }
+        let place = self.job.place();
+        place.tell(self.job.json, &report, || table(&report, &outcome))?;
         outcome.verdict().with_context(|| self.job.name())
     }
 

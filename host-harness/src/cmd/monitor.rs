@@ -110,18 +110,20 @@ impl Monitor {
                 .chain(&self.histogram)
                 .map(PathBuf::as_path),
         );
-        if self.json {
-            place.print_json(&json!({
-                "tau_low": marks.tau_low,
-                "tau_high": marks.tau_high,
-                "windows": windows,
-            }))?;
-        } else {
-            if !is_live {
-                place.print(&table(&windows))?;
-            }
-            place.print(&totals(&windows, thresholds))?;
-        }
+        let report = json!({
+            "tau_low": marks.tau_low,
+            "tau_high": marks.tau_high,
+            "windows": windows,
+        });
+        place.tell(self.json, &report, || {
+            // Live, the windows have been shown.
+            let shown = if is_live {
+                String::new()
+            } else {
+                table(&windows)
+            };
+            shown + &totals(&windows, thresholds)
+        })?;
         tell_link(&name, &link)
     }
 }

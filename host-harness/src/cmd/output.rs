@@ -22,7 +22,8 @@ pub fn end(program: &str, result: Result<()>) -> ExitCode {
 }
 
 /// Whether stdout's reader, such as `head`, has seen enough.
-fn is_closed_pipe(error: &Error) -> bool {
+#[must_use]
+pub fn is_closed_pipe(error: &Error) -> bool {
     let closed = |io: &std::io::Error| io.kind() == ErrorKind::BrokenPipe;
     let mut causes = error.chain();
     causes.any(|cause| cause.downcast_ref().is_some_and(closed))
@@ -60,11 +61,33 @@ pub enum Place {
 impl Place {
     /// Beside what is written to these outputs.
     pub fn beside<'p>(outputs: impl IntoIterator<Item = &'p Path>) -> Self {
-        if outputs.into_iter().any(is_stdout) {
+        Self::unless_taken(outputs.into_iter().any(is_stdout))
+    }
+
+    /// Stdout, unless it is taken.
+    #[must_use]
+    pub const fn unless_taken(is_stdout_taken: bool) -> Self {
+        if is_stdout_taken {
             Self::Stderr
         } else {
             Self::Stdout
         }
+    }
+
+    /// Prints a report, as one JSON object or as its table.
+    ///
+    /// # Errors
+    /// As [`print()`].
+    pub fn tell(
+        self,
+        json: bool,
+        report: &impl Serialize,
+        table: impl FnOnce() -> String,
+    ) -> Result<()> {
+        if json {
+            return self.print(&format!("{}\n", serde_json::to_string(report)?));
+        }
+        self.print(&table())
     }
 
     /// Prints text as it is.
@@ -80,14 +103,6 @@ impl Place {
                 Ok(())
             }
         }
-    }
-
-    /// Prints one JSON value and a newline.
-    ///
-    /// # Errors
-    /// As [`print()`].
-    pub fn print_json(self, value: &impl Serialize) -> Result<()> {
-        self.print(&format!("{}\n", serde_json::to_string(value)?))
     }
 }
 

@@ -218,11 +218,9 @@ impl View {
             skipped_us: frames.skipped_us(),
         };
         let place = Place::beside([output.as_path()]);
-        if self.json {
-            place.print_json(&summary)?;
-        } else {
-            place.print(&table(&summary, self.decoded.is_some()))?;
-        }
+        place.tell(self.json, &summary, || {
+            table(&summary, self.decoded.is_some())
+        })?;
         link
     }
 

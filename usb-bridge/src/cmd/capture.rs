@@ -8,6 +8,7 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use clap::Args;
 use host_harness::cmd::encode::{CodecOptions, LimitOptions};
+use host_harness::cmd::output::{Place, is_closed_pipe};
 use host_harness::encode::{Codec, EncodeSummary, REORDER_LIVE_US};
 use host_harness::formats::EventReader;
 use host_harness::output::{Output, is_stdout, keep_or_mark};
@@ -15,7 +16,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget};
 use serde::Serialize;
 
 use super::options::{DeviceOptions, StreamOptions, order_rows, warn_of_losses, warn_of_order};
-use super::tell::{Telling, is_closed_pipe};
+
 use crate::record::{self, Kept, Kind, Order};
 use crate::session::{Report, Session};
 use crate::stop::Stop;
@@ -103,10 +104,8 @@ impl Capture {
         let (report, unstopped) = session.finish();
         warn_of_losses(&report);
         warn_of_order(&report, &order);
-        let telling = Telling {
-            json: self.stream.json,
-            is_stdout_taken: is_stdout(&self.output) || self.device.place().is_on_stdout(),
-        };
+        let place =
+            Place::unless_taken(is_stdout(&self.output) || self.device.place().is_on_stdout());
         let has_order = kind != Kind::Stream && (outcome.is_ok() || order.runs > 0);
         let summary = Summary {
             file: self.output,
@@ -115,9 +114,9 @@ impl Capture {
             events_late: has_order.then_some(order.events_late),
             encoding,
         };
-        telling.tell(&summary, || summary.table(&order))?;
+        place.tell(self.stream.json, &summary, || summary.table(&order))?;
         match outcome {
-            Err(error) if telling.is_stdout_taken && is_closed_pipe(&error) => {}
+            Err(error) if place == Place::Stderr && is_closed_pipe(&error) => {}
             outcome => outcome?,
         }
         unstopped.map_or(Ok(()), Err)

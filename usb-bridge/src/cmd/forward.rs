@@ -7,7 +7,7 @@ use anyhow::{Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use eecvs_nostd::Event;
 use host_harness::cmd::encode::{CodecOptions, LimitOptions};
-use host_harness::cmd::output::rows;
+use host_harness::cmd::output::{Place, rows};
 use host_harness::encode::{Codec, EncodeSummary};
 use host_harness::formats::EventReader;
 use host_harness::output::{self, Kind, is_stdout};
@@ -16,7 +16,7 @@ use serde::Serialize;
 use super::options::{
     DeviceOptions, StreamOptions, is_one_place, order_rows, warn_of_losses, warn_of_order,
 };
-use super::tell::{Telling, warn};
+use super::warn;
 use crate::forward::address::Address;
 use crate::forward::consumer::Report as ConsumerReport;
 use crate::forward::fan_out::{FanOut, NobodyLeft};
@@ -150,11 +150,10 @@ impl Forward {
             consumers,
         };
         // Standard output may be a consumer's: the summary would stand in its stream.
-        let telling = Telling {
-            json: self.stream.json,
-            is_stdout_taken: self.to.iter().any(is_on_stdout) || self.device.place().is_on_stdout(),
-        };
-        telling.tell(&summary, || summary.table(&order))?;
+        let place = Place::unless_taken(
+            self.to.iter().any(is_on_stdout) || self.device.place().is_on_stdout(),
+        );
+        place.tell(self.stream.json, &summary, || summary.table(&order))?;
         outcome?;
         ensure!(failed.is_empty(), "{}", failed.join("; "));
         unstopped.map_or(Ok(()), Err)

@@ -90,11 +90,8 @@ impl Mcu {
             .with_context(|| device.clone())?;
         let firmware = encoder.source().info.firmware.clone();
         let report = Report::new(device, firmware, &outcome);
-        if self.job.json {
-            self.job.place().print_json(&report)?;
-        } else {
-            self.job.place().print(&table(&report, &outcome))?;
-        }
+        let place = self.job.place();
+        place.tell(self.job.json, &report, || table(&report, &outcome))?;
         outcome.verdict().with_context(|| self.job.name())
     }
 }

@@ -7,4 +7,11 @@ pub mod mcu;
 pub mod options;
 pub mod receive;
 pub mod simulate;
-mod tell;
+
+use std::io::{Write, stderr};
+
+/// A line on stderr.
+fn warn(text: &str) {
+    // Nobody is left to be told that stderr is gone.
+    let _ = writeln!(stderr(), "eecvs-usb: {text}");
+}

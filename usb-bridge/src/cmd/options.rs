@@ -10,7 +10,7 @@ use host_harness::cmd::encode::CodecOptions;
 use host_harness::cmd::output::rows;
 use host_harness::output;
 
-use super::tell::warn;
+use super::warn;
 use crate::encoder::{Encoder, Wish};
 use crate::peripheral::stream::Pace;
 use crate::record::Order;

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use host_harness::cmd::output::rows;
-use host_harness::output::{Output, is_stdout, keep_or_mark};
+use host_harness::cmd::output::{Place, rows};
+use host_harness::output::{Output, keep_or_mark};
 
 use super::options::StreamOptions;
-use super::tell::{Telling, warn};
+use super::warn;
 use crate::forward::address::Address;
 use crate::forward::receive::{self, Received};
 use crate::link::listen::Listening;
@@ -63,11 +63,8 @@ impl Receive {
         } else {
             keep_or_mark(output, outcome)
         };
-        let telling = Telling {
-            json: self.stream.json,
-            is_stdout_taken: is_stdout(&self.output),
-        };
-        telling.tell(&received, || table(&received))?;
+        let place = Place::beside([self.output.as_path()]);
+        place.tell(self.stream.json, &received, || table(&received))?;
         let Some(warning) = received.warning() else {
             return outcome;
         };

@@ -6,9 +6,10 @@ use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use host_harness::output::create_bytes;
+
 use super::address::Address;
 use super::datagram::Cutter;
-use crate::record;
 
 /// How long a connection may take to come about.
 const CONNECT: Duration = Duration::from_secs(3);
@@ -56,7 +57,7 @@ impl Sink {
                 stream.set_write_timeout(Some(WAIT))?;
                 Self::Unix(stream)
             }
-            Address::File(path) => Self::File(record::file(path)?),
+            Address::File(path) => Self::File(create_bytes(path)?),
             Address::Stdout => Self::Stdout,
         })
     }
