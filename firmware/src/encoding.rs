@@ -25,10 +25,13 @@ const HOT_PIXELS: usize = 512;
 
 /// What runs before the first setup: never used on events.
 const IDLE: Config = Config {
-    window: WindowConfig::new(Sensor {
+    window: WindowConfig::new(
+        Sensor {
             width: 1,
             height: 1,
-        }, 1),
+        },
+        1,
+    ),
     thresholds: Thresholds::new(0, 0).unwrap(),
     transform: None,
     m: 1,

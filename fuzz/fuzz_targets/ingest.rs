@@ -16,10 +16,13 @@ use eecvs_nostd::{
 };
 use libfuzzer_sys::fuzz_target;
 
-const CONFIG: WindowConfig = WindowConfig::new(Sensor {
+const CONFIG: WindowConfig = WindowConfig::new(
+    Sensor {
         width: 70,
         height: 9,
-    }, 1000);
+    },
+    1000,
+);
 
 #[derive(Default)]
 struct Side<'b> {

@@ -93,7 +93,10 @@ impl Cut {
         let ([width, height, window_us, events], words) = words.split_first_chunk::<4>()?;
         let side = |word: &[u8; 4]| u16::try_from(u32::from_le_bytes(*word)).ok();
         Some(Self {
-            window: WindowConfig::new(Sensor::new(side(width)?, side(height)?)?, u32::from_le_bytes(*window_us)),
+            window: WindowConfig::new(
+                Sensor::new(side(width)?, side(height)?)?,
+                u32::from_le_bytes(*window_us),
+            ),
             events: u32::from_le_bytes(*events),
             words,
         })
