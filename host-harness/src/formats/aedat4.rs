@@ -35,7 +35,7 @@ use super::{Assumption, Skipped};
 pub const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
 
 /// Bytes behind the packets in which another recording is looked for: more than any packet table has.
-const FOLLOWING_MAX: usize = 1 << 24;
+const FOLLOWING_MAX: u64 = 1 << 24;
 
 /// Longest IOHE table: the XML of real files has a few kB.
 const HEADER_MAX: usize = 1 << 20;
@@ -476,8 +476,10 @@ impl Aedat4Decoder {
 
     /// Refuses a file behind whose packet table, at byte `at`, another recording begins: `cat` puts files so.
     fn check_nothing_follows(&mut self, at: u64) -> anyhow::Result<()> {
+        // No more than is there: of a file that grows, more would be waited for.
+        let length = self.input.end()?.saturating_sub(at);
         self.input.seek(at)?;
-        let mut bytes = vec![0; FOLLOWING_MAX];
+        let mut bytes = vec![0; length.min(FOLLOWING_MAX) as usize];
         let filled = self.input.fill(&mut bytes)?;
         bytes.truncate(filled);
         let mut places = bytes.windows(MAGIC.len());
