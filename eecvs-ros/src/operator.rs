@@ -42,6 +42,10 @@ pub struct Encoded<'f> {
     pub span: Span,
     /// Events told here.
     pub events: u32,
+    /// Whether the clock has fallen back before it.
+    pub begins_run: bool,
+    /// Events that came too late since the frame before, and are in none.
+    pub late: u32,
     /// What only the operator understands.
     pub data: &'f [u8],
 }
@@ -205,6 +209,8 @@ impl Write for Frames<'_> {
                         duration_us: frame.header.duration_us,
                     },
                     events: frame.header.events,
+                    begins_run: frame.header.begins_run && frame.header.part == 0,
+                    late: frame.header.late,
                     data: bytes,
                 })
             });
@@ -290,6 +296,7 @@ impl<C: WindowCoder + 'static> Operator for Windowed<C> {
             window_us,
             events_max: job.limits.window_events,
             t0_us: None,
+            begins_run: false,
             events: Vec::new(),
             data: Vec::new(),
             summary: EncodeSummary::default(),
@@ -327,6 +334,8 @@ struct WindowCut<'c, C> {
     events_max: usize,
     /// Start of the open window.
     t0_us: Option<u64>,
+    /// Whether the clock has fallen back before it.
+    begins_run: bool,
     events: Vec<Event>,
     data: Vec<u8>,
     summary: EncodeSummary,
@@ -343,6 +352,7 @@ impl<C: WindowCoder> WindowCut<'_, C> {
             // The clock fell back: a new run of windows begins.
             self.close(put)?;
             self.t0_us = None;
+            self.begins_run = true;
             self.summary.runs += 1;
         }
         self.summary.runs = self.summary.runs.max(1);
@@ -385,6 +395,8 @@ impl<C: WindowCoder> WindowCut<'_, C> {
         put(Encoded {
             span,
             events,
+            begins_run: std::mem::take(&mut self.begins_run),
+            late: 0,
             data: &self.data,
         })
     }

@@ -246,23 +246,12 @@ pub fn frames(
     flushed
 }
 
-/// Writes the frames of an encoder as they are, each with one `write_all`, until the stream ends or fails.
+/// Writes the frames of an encoder as they are, each with one `write_all`, until the stream ends or fails, and adds
+/// to `order` what they say.
 ///
 /// # Errors
 /// The link, the output.
-pub fn encoders_frames(session: &Session, out: &mut dyn Write) -> Result<()> {
-    encoders_frames_in_order(session, out, &mut Order::default())
-}
-
-/// Writes frames as [`encoders_frames`], and adds to `order` what they say.
-///
-/// # Errors
-/// As there.
-pub fn encoders_frames_in_order(
-    session: &Session,
-    out: &mut dyn Write,
-    order: &mut Order,
-) -> Result<()> {
+pub fn encoders_frames(session: &Session, out: &mut dyn Write, order: &mut Order) -> Result<()> {
     let mut messages = Messages::default();
     each_chunk(session, |chunk| kept(&mut messages, chunk, out, order))
         .context("frames cannot be written")?;

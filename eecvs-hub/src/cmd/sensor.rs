@@ -9,15 +9,16 @@ use clap::Args;
 use eecvs_nostd::Sensor as Size;
 use host_harness::cmd::encode::CodecOptions;
 use host_harness::cmd::options::ReadingOptions;
+use host_harness::cmd::order::OrderOptions;
 use host_harness::cmd::output::{print, print_json, rows};
 use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
 use host_harness::formats::{self, EventReader};
 use host_harness::scene::{Preset, SceneConfig, emulate};
 use serde::Serialize;
-use usb_bridge::cmd::options::{PlaceOptions, warn_of_losses};
+use usb_bridge::cmd::options::{PlaceOptions, refuse_late, warn_of_losses, warn_of_runs};
 use usb_bridge::device::mcu;
 use usb_bridge::peripheral::stream::Pace;
-use usb_bridge::record::encoders_frames;
+use usb_bridge::record::{Order, encoders_frames};
 use usb_bridge::session::{self, Session};
 use usb_bridge::stop::Stop;
 
@@ -102,6 +103,9 @@ pub struct Sensor {
     json: bool,
 
     #[command(flatten)]
+    order: OrderOptions,
+
+    #[command(flatten)]
     codec: CodecOptions,
 }
 
@@ -150,10 +154,13 @@ impl Sensor {
             outages_s: status.outages_us as f64 * 1e-6,
             encoding,
         };
-        if self.json {
-            return print_json(&sent);
+        match self.json {
+            true => print_json(&sent)?,
+            false => print(&sent.table())?,
         }
-        print(&sent.table())
+        let order = Order::from(&sent.encoding);
+        warn_of_runs(&sent.name, &order);
+        refuse_late(&sent.name, &order, self.order.allow_loss)
     }
 
     fn uplink(&self, sensor: Size) -> Result<Uplink> {
@@ -212,8 +219,15 @@ impl Sensor {
             true => {
                 drop(reader);
                 let mut out = FrameSink::new(&uplink, &|_| now_us());
-                let ended = encoders_frames(&session, &mut out);
-                out.finish(ended).map(|()| EncodeSummary::default())
+                let mut order = Order::default();
+                let ended = encoders_frames(&session, &mut out, &mut order);
+                out.finish(ended).map(|()| EncodeSummary {
+                    events_in: order.events + order.events_late,
+                    events_encoded: order.events,
+                    events_late: order.events_late,
+                    runs: order.runs,
+                    ..EncodeSummary::default()
+                })
             }
             // When a camera's events were due, nobody knows.
             false => self.encode(Box::new(reader), &uplink, &|_| now_us()),
@@ -241,6 +255,7 @@ impl Sensor {
         };
         let limits = Limits {
             frame_bytes: self.frame_bytes as usize,
+            reorder_us: self.order.reorder_us,
             ..Limits::default()
         };
         let mut out = FrameSink::new(uplink, end_us);
@@ -265,6 +280,7 @@ impl Sent {
         rows([
             ("sensor", self.name.clone()),
             ("events", encoding.events_in.to_string()),
+            ("  runs of the clock", encoding.runs.to_string()),
             ("  encoded", encoding.events_encoded.to_string()),
             ("  late", encoding.events_late.to_string()),
             ("  filtered", encoding.events_filtered.to_string()),

@@ -6,7 +6,7 @@ use host_harness::cmd::encode::CodecOptions;
 use host_harness::formats::{EventReader, Pause};
 use usb_bridge::cmd::options::{DeviceOptions, StreamOptions, warn_of_losses};
 use usb_bridge::device::mcu;
-use usb_bridge::record::encoders_frames;
+use usb_bridge::record::{Order, encoders_frames};
 use usb_bridge::session::Session;
 
 use super::emulate::PacketOptions;
@@ -68,9 +68,15 @@ impl Bridge {
         let mut sender = FrameSender::new(context, self.qos.qos(), name, self.packets.frame_id())?;
         let mut put = |encoded: Encoded<'_>| sender.send(encoded, Time::now());
         let mut out = frames(&mut put);
-        let ended = encoders_frames(session, &mut out);
+        let mut order = Order::default();
+        let ended = encoders_frames(session, &mut out, &mut order);
         out.finish(ended)?;
-        Ok(format!("{} frames", sender.sent()))
+        Ok(format!(
+            "{} frames of {} runs of the clock; at the encoder {} events late",
+            sender.sent(),
+            order.runs,
+            order.events_late
+        ))
     }
 
     fn events(&self, context: &mut Context, session: &Session) -> Result<String> {

@@ -2,16 +2,17 @@
 
 use std::time::Duration;
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, ensure};
 use clap::Args;
 use eecvs_nostd::OUTPUT_BYTES_MIN;
 use host_harness::cmd::encode::CodecOptions;
+use host_harness::cmd::order::OrderOptions;
 use host_harness::encode::{EncodeSummary, Limits, WINDOW_EVENTS};
 
 use super::frames::FrameSender;
 use super::{Context, Now, QosOptions};
 use crate::message::EventPacket;
-use crate::operator::{Job, Operators, Span};
+use crate::operator::{Encoded, Job, Operators, Span};
 use crate::packet_reader::{PacketReader, Received, look};
 
 /// Topics that it publishes.
@@ -38,6 +39,9 @@ pub struct Encode {
     /// End after so many seconds without events; of none at all, never
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
+
+    #[command(flatten)]
+    order: OrderOptions,
 
     #[command(flatten)]
     codec: CodecOptions,
@@ -72,12 +76,13 @@ impl Encode {
         };
         let watch = reader.watch();
         let mut now = Now::every(TELL);
-        let mut told = Received::default();
+        let (mut told, mut disorder) = (Received::default(), Disorder::default());
         let job = Job {
             codec: &self.codec,
             limits: Limits {
                 window_events: WINDOW_EVENTS,
                 frame_bytes: self.frame_bytes as usize,
+                reorder_us: self.order.reorder_us,
                 ..Limits::default()
             },
         };
@@ -87,16 +92,53 @@ impl Encode {
                 t0_us, duration_us, ..
             } = encoded.span;
             let end_us = t0_us.saturating_add(duration_us.into());
+            disorder.add(&encoded);
             sender.send(encoded, received.stamp_at(end_us))?;
             if now.is_due() {
                 tell_losses(&context, &received, &mut told);
+                disorder.tell(&context);
             }
             Ok(())
         })?;
         let received = look(&watch);
         tell_losses(&context, &received, &mut told);
+        disorder.tell(&context);
         context.say(&line(&received, &summary));
+        ensure!(
+            summary.events_late == 0 || self.order.allow_loss,
+            "{} of {} events came too late and are in no frame: give a longer --reorder-us; --allow-loss makes it \
+             no error",
+            summary.events_late,
+            summary.events_in
+        );
         Ok(())
+    }
+}
+
+/// What is still to be said of times that ran back.
+#[derive(Debug, Default)]
+struct Disorder {
+    resets: u64,
+    late: u64,
+}
+
+impl Disorder {
+    fn add(&mut self, encoded: &Encoded<'_>) {
+        self.resets += u64::from(encoded.begins_run);
+        self.late += u64::from(encoded.late);
+    }
+
+    fn tell(&mut self, context: &Context) {
+        let Self { resets, late } = std::mem::take(self);
+        if resets > 0 {
+            context.say(&format!(
+                "the clock began anew, times that it did: {resets}; frames hold all events; where the clock is one and \
+                 events came late, a longer --reorder-us puts them in order"
+            ));
+        }
+        if late > 0 {
+            context.say(&format!("{late} events came too late and are in no frame"));
+        }
     }
 }
 
@@ -117,12 +159,13 @@ fn tell_losses(context: &Context, received: &Received, told: &mut Received) {
 
 fn line(received: &Received, summary: &EncodeSummary) -> String {
     format!(
-        "{} events of {} messages ({} lost, {} left out): {} encoded, {} late, {} filtered, {} dropped, {} thinned; \
+        "{} events of {} messages ({} lost, {} left out) in {} runs of the clock: {} encoded, {} late, {} filtered, {} dropped, {} thinned; \
          {} frames of {} bytes",
         summary.events_in,
         received.packets,
         received.sequence.lost,
         received.refused,
+        summary.runs,
         summary.events_encoded,
         summary.events_late,
         summary.events_filtered,

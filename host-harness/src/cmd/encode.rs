@@ -14,7 +14,7 @@ use eecvs_nostd::{
 use serde::Serialize;
 
 use super::options::{FollowOptions, OutputOptions, ReadingOptions, ThresholdOptions, tell_damage};
-use super::order::{SortOptions, tell_disorder};
+use super::order::{OrderOptions, SortOptions, tell_disorder};
 use super::output::{Place, rows};
 use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
@@ -50,10 +50,6 @@ pub struct Encode {
 
     #[command(flatten)]
     sort: SortOptions,
-
-    /// Exit with 0 also where events came too late and are in no frame
-    #[arg(long)]
-    allow_loss: bool,
 
     #[command(flatten)]
     follow: FollowOptions,
@@ -182,10 +178,9 @@ pub struct LimitOptions {
               .range(OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
     frame_bytes: u32,
 
-    /// Put events in order that come up to N microseconds after later ones; a clock that falls back further
-    /// begins a new run of windows. 0: it always does [default: 5000, of a live source 1000]
-    #[arg(long, value_name = "N")]
-    reorder_us: Option<u32>,
+    /// What is done about times that run back.
+    #[command(flatten)]
+    pub order: OrderOptions,
 }
 
 /// A mode on the command line.
@@ -423,7 +418,7 @@ impl LimitOptions {
         Limits {
             window_events: self.window_events as usize,
             frame_bytes: self.frame_bytes as usize,
-            reorder_us: self.reorder_us,
+            reorder_us: self.order.reorder_us,
             dense_words: usize::MAX,
         }
     }
@@ -484,7 +479,7 @@ impl Encode {
         let place = Place::beside([self.output.as_path()]);
         place.tell(self.json, &report, || report.table())?;
         tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())?;
-        tell_disorder(&self.input, &summary, self.allow_loss)
+        tell_disorder(&self.input, &summary, self.limits.order.allow_loss)
     }
 }
 

@@ -41,6 +41,19 @@ impl SortOptions {
     }
 }
 
+/// How much disorder is put right, and whether more of it is an error.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct OrderOptions {
+    /// Put events in order that come up to N microseconds after later ones; a clock that falls back further
+    /// begins a new run of windows. 0: it always does [default: 5000, of a live source 1000]
+    #[arg(long, value_name = "N")]
+    pub reorder_us: Option<u32>,
+
+    /// Exit with 0 also where events came too late and are in no frame
+    #[arg(long)]
+    pub allow_loss: bool,
+}
+
 /// Says on stderr how often a clock fell back; an error where events are lost by it, unless that is allowed.
 ///
 /// # Errors

@@ -65,6 +65,7 @@ impl Split {
             restarts: 0,
             ..reader.report().clone()
         };
+        tell_others(&self.output, &parts)?;
         let report = Report { parts, link: &link };
         if self.json {
             print_json(&report)?;
@@ -90,6 +91,27 @@ impl Split {
         );
         Ok(())
     }
+}
+
+/// Says on stderr which frames of the folder are not of this input: an earlier one may have had more parts.
+fn tell_others(folder: &Path, parts: &[Part]) -> Result<()> {
+    let listed = std::fs::read_dir(folder)
+        .with_context(|| format!("{}: cannot be listed", folder.display()))?;
+    let paths = listed.filter_map(|entry| entry.ok().map(|entry| entry.path()));
+    let mut others: Vec<String> = paths
+        .filter(|path| path.extension().is_some_and(|ending| ending == "eecvs"))
+        .filter(|path| parts.iter().all(|part| part.file != *path))
+        .filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned()))
+        .collect();
+    others.sort_unstable();
+    if !others.is_empty() {
+        eprintln!(
+            "eecvs: {}: was there before and is not of this input: {}",
+            folder.display(),
+            others.join(", ")
+        );
+    }
+    Ok(())
 }
 
 fn table(parts: &[Part]) -> String {

@@ -15,7 +15,9 @@ use host_harness::output::{Output, is_stdout, keep_or_mark};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use serde::Serialize;
 
-use super::options::{DeviceOptions, StreamOptions, order_rows, warn_of_losses, warn_of_order};
+use super::options::{
+    DeviceOptions, StreamOptions, order_rows, refuse_late, warn_of_losses, warn_of_runs,
+};
 
 use crate::record::{self, Kept, Kind, Order};
 use crate::session::{Report, Session};
@@ -103,7 +105,7 @@ impl Capture {
         let Kept { order, encoding } = kept;
         let (report, unstopped) = session.finish();
         warn_of_losses(&report);
-        warn_of_order(&report, &order);
+        warn_of_runs(&report.device, &order);
         let place =
             Place::unless_taken(is_stdout(&self.output) || self.device.place().is_on_stdout());
         let has_order = kind != Kind::Stream && (outcome.is_ok() || order.runs > 0);
@@ -119,6 +121,11 @@ impl Capture {
             Err(error) if place == Place::Stderr && is_closed_pipe(&error) => {}
             outcome => outcome?,
         }
+        refuse_late(
+            &summary.session.device,
+            &order,
+            self.limits.order.allow_loss,
+        )?;
         unstopped.map_or(Ok(()), Err)
     }
 
@@ -147,7 +154,7 @@ impl Capture {
             }
             Kind::Frames if self.device.sets_up() => {
                 let mut out = record::create(path)?;
-                let written = record::encoders_frames_in_order(session, &mut out, &mut kept.order);
+                let written = record::encoders_frames(session, &mut out, &mut kept.order);
                 written.and(record::flush(&mut out, path))
             }
             Kind::Frames => {

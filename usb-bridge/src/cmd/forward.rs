@@ -14,7 +14,8 @@ use host_harness::output::{self, Kind, is_stdout};
 use serde::Serialize;
 
 use super::options::{
-    DeviceOptions, StreamOptions, is_one_place, order_rows, warn_of_losses, warn_of_order,
+    DeviceOptions, StreamOptions, is_one_place, order_rows, refuse_late, warn_of_losses,
+    warn_of_runs,
 };
 use super::warn;
 use crate::forward::address::Address;
@@ -119,7 +120,7 @@ impl Forward {
         let outcome = match self.what {
             What::Raw => raw(&session, &mut fan_out),
             What::Frames if self.device.sets_up() => {
-                record::encoders_frames_in_order(&session, &mut fan_out, &mut kept.order)
+                record::encoders_frames(&session, &mut fan_out, &mut kept.order)
             }
             What::Frames => self.frames(&session, &mut fan_out, &mut kept),
         };
@@ -132,7 +133,7 @@ impl Forward {
         let (report, unstopped) = session.finish();
         let consumers = fan_out.finish(GRACE, outcome.is_ok());
         warn_of_losses(&report);
-        warn_of_order(&report, &order);
+        warn_of_runs(&report.device, &order);
         let mut failed = Vec::new();
         for (consumer, to) in consumers.iter().zip(&self.to) {
             match trouble(consumer, to) {
@@ -156,6 +157,11 @@ impl Forward {
         place.tell(self.stream.json, &summary, || summary.table(&order))?;
         outcome?;
         ensure!(failed.is_empty(), "{}", failed.join("; "));
+        refuse_late(
+            &summary.session.device,
+            &order,
+            self.limits.order.allow_loss,
+        )?;
         unstopped.map_or(Ok(()), Err)
     }
 

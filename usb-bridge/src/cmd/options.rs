@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use clap::Args;
 use eecvs_nostd::Sensor;
 use host_harness::cmd::encode::CodecOptions;
@@ -237,31 +237,35 @@ pub fn warn_of_losses(report: &Report) {
     warn(&format!("{}: lost: {}", report.device, losses.join("; ")));
 }
 
-/// Lines on stderr where the clock began anew, or events came too late.
-pub fn warn_of_order(report: &Report, order: &Order) {
-    for line in disorder(order) {
-        warn(&format!("{}: {line}", report.device));
-    }
-}
-
-/// What there is to say of an order.
-fn disorder(order: &Order) -> Vec<String> {
-    let mut lines = Vec::new();
+/// Says on stderr how often a device's clock began anew.
+pub fn warn_of_runs(device: &str, order: &Order) {
     if order.runs > 1 {
-        lines.push(format!(
-            "the clock began anew, times that it did: {}; what was written is of {} runs and holds all events; where \
-             the clock is one and events came late, a longer --reorder-us puts them in order",
+        warn(&format!(
+            "{device}: the clock began anew, times that it did: {}; what was written is of {} runs and holds all events; \
+             where the clock is one and events came late, a longer --reorder-us puts them in order",
             order.runs - 1,
             order.runs
         ));
     }
-    if order.events_late > 0 {
-        lines.push(format!(
-            "{} of {} events came too late and are in no frame: give a longer --reorder-us",
-            order.events_late, order.events
-        ));
+}
+
+/// An error where events came too late; a warning where that is allowed.
+///
+/// # Errors
+/// Events that are in no frame.
+pub fn refuse_late(device: &str, order: &Order, allow_loss: bool) -> Result<()> {
+    if order.events_late == 0 {
+        return Ok(());
     }
-    lines
+    let message = format!(
+        "{device}: {} of {} events came too late and are in no frame: give a longer --reorder-us",
+        order.events_late, order.events
+    );
+    if allow_loss {
+        warn(&message);
+        return Ok(());
+    }
+    bail!("{message}; --allow-loss makes it no error")
 }
 
 /// The order of what was written, for people.
@@ -315,20 +319,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn disorder_is_told_with_its_counts() {
-        let order = |runs, events_late| Order {
+    fn late_events_are_an_error_unless_loss_is_allowed() {
+        let order = |events_late| Order {
             events: 20,
-            runs,
+            runs: 3,
             events_late,
         };
-        assert!(disorder(&order(1, 0)).is_empty());
-        let [runs, late] = <[String; 2]>::try_from(disorder(&order(3, 4))).unwrap();
-        assert!(
-            runs.contains("it did: 2;") && runs.contains("3 runs"),
-            "{runs}"
-        );
-        assert!(late.contains("4 of 20 events"), "{late}");
-        let table = order_rows(&order(3, 4));
+        refuse_late("door", &order(0), false).unwrap();
+        refuse_late("door", &order(4), true).unwrap();
+        let refused = refuse_late("door", &order(4), false).unwrap_err();
+        let refused = refused.to_string();
+        assert!(refused.contains("door: 4 of 20 events"), "{refused}");
+        let table = order_rows(&order(4));
         assert_eq!(table, "runs of the clock  3\nevents late        4\n");
     }
 

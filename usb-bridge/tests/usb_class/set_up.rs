@@ -282,7 +282,7 @@ fn an_encoder_beside_its_sensor_is_set_up() {
         };
         let session = Session::start(source, 1 << 20, &Stop::default(), limits).unwrap();
         let mut bytes = Vec::new();
-        record::encoders_frames(&session, &mut bytes).unwrap();
+        record::encoders_frames(&session, &mut bytes, &mut record::Order::default()).unwrap();
         let (report, failure) = session.finish();
         assert!(failure.is_none());
         assert!(report.losses.is_empty(), "{:?}", report.losses);
