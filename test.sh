@@ -19,7 +19,8 @@
 #             when it is named
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
 #             it is named
-#   fuzz      every fuzz target for FUZZ_SECONDS (default 2)
+#   fuzz      every fuzz target for FUZZ_SECONDS (default 2), minutes, and only when it is named (the lint stage
+#             compiles them)
 #   demo      the first command of the README
 #
 # What is missing is installed where that is possible; where it is not, the stage says so.
@@ -68,6 +69,8 @@ lint() {
     if component clippy clippy; then
         cargo clippy --workspace --all-targets "${FEATURES[@]}" -- -D warnings
     fi
+    # Much of what they need has been checked above.
+    cargo check --manifest-path fuzz/Cargo.toml --target-dir target
     RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 }
 
@@ -309,7 +312,7 @@ fi
 
 stages=("$@") beside=()
 if [ ${#stages[@]} = 0 ]; then
-    stages=(lint unit demo) beside=(fuzz nostd firmware usb)
+    stages=(lint unit demo) beside=(nostd firmware usb)
     # Two at a time: compilers leave a core idle for a third of the time. Not where installations would meet.
     have flock || { stages+=("${beside[@]}"); beside=(); }
 fi

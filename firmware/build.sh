@@ -41,6 +41,8 @@ elif [ "$machine" = usb ]; then
 fi
 # Its 256 KiB of flash, of which tables take a third, want small code.
 [ "$machine" != microbit ] || export CARGO_PROFILE_RELEASE_OPT_LEVEL=s
+# The log tells places by the image's debug information, whatever the host's programs are built with.
+unset CARGO_PROFILE_RELEASE_DEBUG
 export RUSTFLAGS="${flags[*]}" DEFMT_LOG="${DEFMT_LOG:-info}"
 # What the machines' builds have in common, such as derive macros, is built once.
 export CARGO_BUILD_BUILD_DIR=$PWD/target/build
