@@ -18,7 +18,7 @@ const COMMANDS: [&str; 10] = [
     "compare IN IN",
     "decode IN -o out.csv",
     "inspect IN",
-    "split IN -o parts",
+    "split IN -o parts-IN",
 ];
 
 /// Of those, commands that read recordings alone, frames as well, frames alone.
@@ -27,7 +27,7 @@ const READ_ANY: usize = 7;
 /// A kind of loss: file, whether it is of frames, status, part of what is said on stderr (nothing: silence).
 type Kind = (&'static str, bool, i32, &'static str);
 
-const KINDS: [Kind; 22] = [
+const KINDS: [Kind; 27] = [
     ("whole.raw", false, 0, ""),
     ("whole.eecvs", true, 0, ""),
     // Nothing is lost where a clock falls back: runs begin.
@@ -46,6 +46,11 @@ const KINDS: [Kind; 22] = [
     ("outside.csv", false, 1, "outside"),
     ("two.npy", false, 1, "follow"),
     ("two.aedat4", false, 1, "another recording"),
+    ("two.npz", false, 1, "another recording"),
+    ("two.parquet", false, 1, "another recording"),
+    ("two.arrow", false, 1, "another recording"),
+    ("two.arrows", false, 1, "another recording"),
+    ("two.h5", false, 1, "another recording"),
     ("cut.eecvs", true, 1, "damaged bytes"),
     ("flipped.eecvs", true, 1, "damaged bytes"),
     ("lost.eecvs", true, 1, "frames lost"),
@@ -111,7 +116,15 @@ fn files(folder: &Folder) {
         [whole, folder.bytes("other.eecvs")].concat(),
     );
     folder.write("late.eecvs", frames[2..].concat());
-    for name in ["two.npy", "two.aedat4"] {
+    for name in [
+        "two.npy",
+        "two.aedat4",
+        "two.npz",
+        "two.parquet",
+        "two.arrow",
+        "two.arrows",
+        "two.h5",
+    ] {
         folder.eecvs(&format!("convert whole.raw {name}")).ok();
         let one = folder.bytes(name);
         folder.write(name, [one.clone(), one].concat());

@@ -26,6 +26,7 @@ pub mod evt3;
 pub mod evt4;
 mod flatbuffer;
 mod flatbuffer_writer;
+mod following;
 mod format;
 pub mod frames;
 pub mod growing;

@@ -3,13 +3,14 @@
 //! The crate `zip` finds the entries, but lends its source to one entry at a time; columns of an
 //! npz must be read in step. So each entry gets its own view of the source and its own inflater.
 
-use std::io::{self, BufReader, Read, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::sync::{Arc, Mutex};
 
 use flate2::Crc;
 use flate2::bufread::DeflateDecoder;
 use zip::CompressionMethod;
 
+use super::following::{self, ANOTHER};
 use super::input::ReadSeek;
 use super::section::{Section, Shared};
 
@@ -39,12 +40,57 @@ pub struct Entry {
     problem: Option<String>,
 }
 
+/// Bytes of a directory's end, before its comment, and of the longest comment.
+const END_BYTES: u64 = 22;
+const COMMENT_MAX: u64 = 0xffff;
+
+/// Where a second zip file begins in a file that holds two; `None` where it is not certain.
+///
+/// A directory's end tells how long the directory is and where it begins, counted from the beginning of its own
+/// zip file.
+fn another(source: &mut dyn ReadSeek) -> io::Result<Option<u64>> {
+    let length = source.seek(SeekFrom::End(0))?;
+    let start = length.saturating_sub(END_BYTES + COMMENT_MAX);
+    source.seek(SeekFrom::Start(start))?;
+    let mut tail = Vec::new();
+    source.read_to_end(&mut tail)?;
+    let mut places = tail.windows(END_BYTES as usize);
+    let Some(place) = places.rposition(|end| end.starts_with(b"PK\x05\x06")) else {
+        return Ok(None);
+    };
+    let number = |at: usize| {
+        let bytes = tail.get(place + at..place + at + 4);
+        bytes
+            .and_then(|bytes| bytes.try_into().ok())
+            .map(u32::from_le_bytes)
+    };
+    let end = start + place as u64;
+    let (Some(bytes), Some(offset)) = (number(12), number(16)) else {
+        return Ok(None);
+    };
+    // Numbers of zip files of more than 4 GiB or 65,535 entries stand elsewhere.
+    let is_large = end >= 20 && following::is_at(source, end - 20, b"PK\x06\x07")?;
+    if is_large || bytes == u32::MAX || offset == u32::MAX {
+        return Ok(None);
+    }
+    let begins = end.checked_sub(u64::from(bytes) + u64::from(offset));
+    let begins = begins.filter(|begins| *begins > 0);
+    // What else stands before a zip file, such as the program of one that unpacks itself, is no recording.
+    match begins {
+        Some(at) if following::is_at(source, 0, b"PK\x03\x04")? => Ok(Some(at)),
+        _ => Ok(None),
+    }
+}
+
 impl Entries {
     /// Reads the directory. Encrypted entries and methods other than deflate are an error where they are read.
     ///
     /// # Errors
     /// What is wrong with the file.
-    pub fn read(source: Box<dyn ReadSeek>) -> Result<Self, String> {
+    pub fn read(mut source: Box<dyn ReadSeek>) -> Result<Self, String> {
+        if let Some(at) = another(source.as_mut()).map_err(|error| error.to_string())? {
+            return Err(format!("byte {at}: {ANOTHER}"));
+        }
         let mut archive = zip::ZipArchive::new(source).map_err(|error| error.to_string())?;
         let mut found = Vec::new();
         for index in 0..archive.len() {

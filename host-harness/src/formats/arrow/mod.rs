@@ -35,6 +35,7 @@ pub use self::writer::ArrowWriter;
 use self::schema::{Codec, Dictionary, Items, Message, RecordBatch, Schema};
 use self::writer::STREAM_ENDING;
 use crate::formats::event_numbers::{Row, SHORT, T, X, Y};
+use crate::formats::following::{self, ANOTHER};
 use crate::formats::format::{Format, Limits, Opening, Start};
 use crate::formats::input::{Batch, Decode, ReadSeek, Reader};
 use crate::formats::npy_header::{Dtype, Number};
@@ -391,6 +392,7 @@ impl ArrowDecoder {
                 if self.is_file && ended == self.length {
                     return Err(place.error("the file ends before its footer: truncated"));
                 }
+                place.check_nothing_follows(self.is_file)?;
                 return Ok(false);
             };
             let body_at = place.position;
@@ -669,6 +671,9 @@ fn item(text: &[u8]) -> Result<Number, String> {
     number.map_err(|_| format!("{} is no number and no polarity", text.escape_debug()))
 }
 
+/// The end of a file and the beginning of one that was put behind it.
+const JOINED: &[u8] = b"ARROW1ARROW1";
+
 /// The schema of a message, behind its length; `None` where it is none.
 pub fn schema_of_message(bytes: &[u8]) -> Option<Schema> {
     let rest = bytes.strip_prefix(&CONTINUATION).unwrap_or(bytes);
@@ -738,6 +743,27 @@ impl Place<'_> {
         (START_BYTES..=at)
             .contains(&first)
             .then_some((schema, first, at))
+    }
+
+    /// Refuses a file behind whose end another one begins, of a stream another stream.
+    fn check_nothing_follows(&mut self, is_file: bool) -> anyhow::Result<()> {
+        let shared = self.source;
+        let mut source = shared.lock().unwrap_or_else(PoisonError::into_inner);
+        let source = source.as_mut();
+        let found = match is_file {
+            true => following::find(source, self.position, JOINED)
+                .map(|found| found.map(|at| at + MAGIC.len() as u64)),
+            false => following::is_at(source, self.position, &CONTINUATION)
+                .map(|is_there| is_there.then_some(self.position)),
+        };
+        match found {
+            Ok(None) => Ok(()),
+            Ok(Some(at)) => {
+                self.position = at;
+                Err(self.error(ANOTHER))
+            }
+            Err(error) => Err(self.error(format!("cannot be read: {error}"))),
+        }
     }
 
     fn bytes(&mut self, count: usize) -> anyhow::Result<Vec<u8>> {

@@ -1,7 +1,7 @@
 //! The datasets of an HDF5 file, read some rows at a time.
 
 use std::io::SeekFrom;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use eecvs_nostd::Sensor;
 use hdf5_reader::{
@@ -12,6 +12,7 @@ use hdf5_reader::{
 use super::chunks::Chunks;
 use super::{ecf, filters};
 use crate::formats::event_numbers::{Row, find_names};
+use crate::formats::following::{self, ANOTHER};
 use crate::formats::input::ReadSeek;
 use crate::formats::npy_header::{Dtype, Number};
 use crate::formats::reading::TimeUnit;
@@ -63,10 +64,7 @@ impl Source {
         // What is there already is not written twice.
         bytes.resize(len, 0);
         // A thread that panicked while it read has left no state but the position, which is set here.
-        let mut source = self
-            .source
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
         source.seek(SeekFrom::Start(offset))?;
         source.read_exact(bytes)?;
         Ok(())
@@ -140,6 +138,17 @@ impl Hdf5 {
             .with_max_object_header_bytes(HEADER_BYTES);
         let file =
             Hdf5File::from_storage_with_options(Arc::new(storage), options).map_err(damaged)?;
+        let superblock = file.superblock();
+        let mut bytes = source.source.lock().unwrap_or_else(PoisonError::into_inner);
+        for base in [0, superblock.base_address] {
+            let end = superblock.eof_address.saturating_add(base);
+            let begins = |mark: &[u8]| following::is_at(bytes.as_mut(), end, mark);
+            let marks: [&[u8]; 2] = [MAGIC, MATLAB];
+            let joined: Result<Vec<bool>, _> = marks.into_iter().map(begins).collect();
+            let joined = joined.map_err(|error| damaged(error.into()))?;
+            anyhow::ensure!(!joined.contains(&true), "{name}: byte {end}: {ANOTHER}");
+        }
+        drop(bytes);
         let name = name.to_owned();
         Ok(Self {
             name,

@@ -34,6 +34,7 @@ pub use self::writer::ParquetWriter;
 use self::metadata::{Metadata, Page};
 use self::values::{Runs, Values};
 use crate::formats::event_numbers::{Row, SHORT, T, X, Y};
+use crate::formats::following::{self, ANOTHER};
 use crate::formats::format::{Format, Limits, Opening};
 use crate::formats::input::{Batch, Decode, ReadSeek, Reader};
 use crate::formats::npy_header::Number;
@@ -46,6 +47,9 @@ use crate::formats::{BATCH_EVENTS, Skipped, unpack};
 
 /// First and last bytes.
 pub const MAGIC: &[u8; 4] = b"PAR1";
+
+/// The end of a file and the beginning of one that was put behind it.
+const JOINED: &[u8] = b"PAR1PAR1";
 
 /// Last bytes of a file whose footer is encrypted.
 const ENCRYPTED: &[u8; 4] = b"PARE";
@@ -303,6 +307,16 @@ impl ParquetDecoder {
         let total = total.fold(0_u64, u64::saturating_add);
         if total != metadata.rows {
             return Err(error("the row groups have other rows than the footer says"));
+        }
+        let chunks = metadata.groups.iter().flat_map(|group| &group.chunks);
+        let last = chunks
+            .map(|chunk| chunk.start.saturating_add(chunk.bytes))
+            .max();
+        let last = last.unwrap_or(0).min(start);
+        let joined = following::find(source.as_mut(), last, JOINED)
+            .map_err(|failed| error(&format!("cannot be read: {failed}")))?;
+        if let Some(at) = joined {
+            anyhow::bail!("{name}: byte {}: {ANOTHER}", at + MAGIC.len() as u64);
         }
         let named: Vec<Named> = metadata
             .fields
