@@ -142,6 +142,10 @@ impl Hdf5 {
         let mut bytes = source.source.lock().unwrap_or_else(PoisonError::into_inner);
         for base in [0, superblock.base_address] {
             let end = superblock.eof_address.saturating_add(base);
+            // Of a file that its writer has not closed, the end is no place.
+            if end >= length {
+                continue;
+            }
             let begins = |mark: &[u8]| following::is_at(bytes.as_mut(), end, mark);
             let marks: [&[u8]; 2] = [MAGIC, MATLAB];
             let joined: Result<Vec<bool>, _> = marks.into_iter().map(begins).collect();
