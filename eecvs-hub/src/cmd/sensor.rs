@@ -160,7 +160,7 @@ impl Sensor {
         }
         let order = Order::from(&sent.encoding);
         warn_of_runs(&sent.name, &order);
-        refuse_late(&sent.name, &order, self.order.allow_loss)
+        refuse_late(&sent.name, &order, self.order)
     }
 
     fn uplink(&self, sensor: Size) -> Result<Uplink> {

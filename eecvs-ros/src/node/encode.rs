@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result};
 use clap::Args;
 use eecvs_nostd::OUTPUT_BYTES_MIN;
 use host_harness::cmd::encode::CodecOptions;
@@ -104,14 +104,9 @@ impl Encode {
         tell_losses(&context, &received, &mut told);
         disorder.tell(&context);
         context.say(&line(&received, &summary));
-        ensure!(
-            summary.events_late == 0 || self.order.allow_loss,
-            "{} of {} events came too late and are in no frame: give a longer --reorder-us; --allow-loss makes it \
-             no error",
-            summary.events_late,
-            summary.events_in
-        );
-        Ok(())
+        let late = (summary.events_late, summary.events_in);
+        self.order
+            .refuse_late("events", late, "a longer --reorder-us", |_| {})
     }
 }
 
@@ -159,8 +154,8 @@ fn tell_losses(context: &Context, received: &Received, told: &mut Received) {
 
 fn line(received: &Received, summary: &EncodeSummary) -> String {
     format!(
-        "{} events of {} messages ({} lost, {} left out) in {} runs of the clock: {} encoded, {} late, {} filtered, {} dropped, {} thinned; \
-         {} frames of {} bytes",
+        "{} events of {} messages ({} lost, {} left out) in {} runs of the clock: {} encoded, {} late, {} filtered, \
+         {} dropped, {} thinned; {} frames of {} bytes",
         summary.events_in,
         received.packets,
         received.sequence.lost,

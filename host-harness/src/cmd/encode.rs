@@ -479,7 +479,7 @@ impl Encode {
         let place = Place::beside([self.output.as_path()]);
         place.tell(self.json, &report, || report.table())?;
         tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())?;
-        tell_disorder(&self.input, &summary, self.limits.order.allow_loss)
+        tell_disorder(&self.input, &summary, self.limits.order)
     }
 }
 

@@ -54,12 +54,39 @@ pub struct OrderOptions {
     pub allow_loss: bool,
 }
 
+impl OrderOptions {
+    /// An error where `late` of `events` events came too late, with what the user can do about it; where that is
+    /// allowed, `warn` gets the message.
+    ///
+    /// # Errors
+    /// Events that are in no frame.
+    pub fn refuse_late(
+        self,
+        name: &str,
+        (late, events): (u64, u64),
+        remedy: &str,
+        warn: impl FnOnce(&str),
+    ) -> Result<()> {
+        if late == 0 {
+            return Ok(());
+        }
+        let message = format!(
+            "{name}: {late} of {events} events came too late and are in no frame: give {remedy}"
+        );
+        if self.allow_loss {
+            warn(&message);
+            return Ok(());
+        }
+        bail!("{message}; --allow-loss makes it no error")
+    }
+}
+
 /// Says on stderr how often a clock fell back; an error where events are lost by it, unless that is allowed.
 ///
 /// # Errors
 /// Events that came too late, which are in no frame.
-pub fn tell_disorder(input: &Path, summary: &EncodeSummary, allow_loss: bool) -> Result<()> {
-    let name = input.display();
+pub fn tell_disorder(input: &Path, summary: &EncodeSummary, order: OrderOptions) -> Result<()> {
+    let name = input.display().to_string();
     if summary.runs > 1 {
         eprintln!(
             "eecvs: {name}: times run back further than is put in order: the frames are of {} runs, and hold all \
@@ -67,16 +94,33 @@ pub fn tell_disorder(input: &Path, summary: &EncodeSummary, allow_loss: bool) ->
             summary.runs
         );
     }
-    if summary.events_late == 0 {
-        return Ok(());
+    let late = (summary.events_late, summary.events_in);
+    order.refuse_late(&name, late, "--reorder-us or --sort", |line| {
+        eprintln!("eecvs: {line}");
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn late_events_are_an_error_unless_loss_is_allowed() {
+        let mut order = OrderOptions::default();
+        let silent = |line: &str| panic!("{line}");
+        order.refuse_late("door", (0, 20), "time", silent).unwrap();
+        let refused = order.refuse_late("door", (4, 20), "time", silent);
+        let refused = refused.unwrap_err().to_string();
+        let message = "door: 4 of 20 events came too late and are in no frame: give time";
+        assert_eq!(
+            refused,
+            format!("{message}; --allow-loss makes it no error")
+        );
+        order.allow_loss = true;
+        let mut warned = String::new();
+        order
+            .refuse_late("door", (4, 20), "time", |line| warned = line.to_owned())
+            .unwrap();
+        assert_eq!(warned, message);
     }
-    let message = format!(
-        "{name}: {} of {} events came too late and are in no frame: give --reorder-us or --sort",
-        summary.events_late, summary.events_in
-    );
-    if allow_loss {
-        eprintln!("eecvs: {message}");
-        return Ok(());
-    }
-    bail!("{message}; --allow-loss makes it no error")
 }

@@ -121,11 +121,7 @@ impl Capture {
             Err(error) if place == Place::Stderr && is_closed_pipe(&error) => {}
             outcome => outcome?,
         }
-        refuse_late(
-            &summary.session.device,
-            &order,
-            self.limits.order.allow_loss,
-        )?;
+        refuse_late(&summary.session.device, &order, self.limits.order)?;
         unstopped.map_or(Ok(()), Err)
     }
 

@@ -157,11 +157,7 @@ impl Forward {
         place.tell(self.stream.json, &summary, || summary.table(&order))?;
         outcome?;
         ensure!(failed.is_empty(), "{}", failed.join("; "));
-        refuse_late(
-            &summary.session.device,
-            &order,
-            self.limits.order.allow_loss,
-        )?;
+        refuse_late(&summary.session.device, &order, self.limits.order)?;
         unstopped.map_or(Ok(()), Err)
     }
 

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use clap::Args;
 use eecvs_nostd::Sensor;
 use host_harness::cmd::encode::CodecOptions;
+use host_harness::cmd::order::OrderOptions;
 use host_harness::cmd::output::rows;
 use host_harness::output;
 
@@ -239,33 +240,30 @@ pub fn warn_of_losses(report: &Report) {
 
 /// Says on stderr how often a device's clock began anew.
 pub fn warn_of_runs(device: &str, order: &Order) {
-    if order.runs > 1 {
-        warn(&format!(
-            "{device}: the clock began anew, times that it did: {}; what was written is of {} runs and holds all events; \
-             where the clock is one and events came late, a longer --reorder-us puts them in order",
+    if let Some(line) = runs(order) {
+        warn(&format!("{device}: {line}"));
+    }
+}
+
+/// What there is to say of a clock that began anew.
+fn runs(order: &Order) -> Option<String> {
+    (order.runs > 1).then(|| {
+        format!(
+            "the clock began anew, times that it did: {}; what was written is of {} runs and holds all events; where \
+             the clock is one and events came late, a longer --reorder-us puts them in order",
             order.runs - 1,
             order.runs
-        ));
-    }
+        )
+    })
 }
 
 /// An error where events came too late; a warning where that is allowed.
 ///
 /// # Errors
 /// Events that are in no frame.
-pub fn refuse_late(device: &str, order: &Order, allow_loss: bool) -> Result<()> {
-    if order.events_late == 0 {
-        return Ok(());
-    }
-    let message = format!(
-        "{device}: {} of {} events came too late and are in no frame: give a longer --reorder-us",
-        order.events_late, order.events
-    );
-    if allow_loss {
-        warn(&message);
-        return Ok(());
-    }
-    bail!("{message}; --allow-loss makes it no error")
+pub fn refuse_late(device: &str, order: &Order, options: OrderOptions) -> Result<()> {
+    let late = (order.events_late, order.events);
+    options.refuse_late(device, late, "a longer --reorder-us", warn)
 }
 
 /// The order of what was written, for people.
@@ -319,18 +317,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_events_are_an_error_unless_loss_is_allowed() {
-        let order = |events_late| Order {
+    fn disorder_is_told_with_its_counts() {
+        let order = |runs, events_late| Order {
             events: 20,
-            runs: 3,
+            runs,
             events_late,
         };
-        refuse_late("door", &order(0), false).unwrap();
-        refuse_late("door", &order(4), true).unwrap();
-        let refused = refuse_late("door", &order(4), false).unwrap_err();
-        let refused = refused.to_string();
-        assert!(refused.contains("door: 4 of 20 events"), "{refused}");
-        let table = order_rows(&order(4));
+        assert_eq!(runs(&order(1, 0)), None);
+        let line = runs(&order(3, 4)).unwrap();
+        assert!(
+            line.contains("it did: 2;") && line.contains("3 runs"),
+            "{line}"
+        );
+        let late = refuse_late("door", &order(3, 4), OrderOptions::default());
+        let late = late.unwrap_err().to_string();
+        assert!(late.contains("4 of 20 events"), "{late}");
+        let table = order_rows(&order(3, 4));
         assert_eq!(table, "runs of the clock  3\nevents late        4\n");
     }
 
