@@ -109,6 +109,8 @@ fn every_event_comes_though_the_hub_is_killed() {
         &endpoint,
         "--to",
         to.to_str().unwrap(),
+        // Whichever program is ready first.
+        "--from-start",
         "--idle-s",
         "8",
         "--json",
