@@ -12,7 +12,7 @@ use host_harness::formats::input::Batch;
 use host_harness::formats::ros::fields::Serialisation;
 use host_harness::formats::ros::message::{Head, Kind};
 use host_harness::formats::ros::message_events::MessageEvents;
-use host_harness::formats::{BATCH_EVENTS, EventReader, Pause, Skipped};
+use host_harness::formats::{Assumption, BATCH_EVENTS, EventReader, Pause, Skipped};
 use usb_bridge::stop::Stop;
 
 use crate::message::{EventPacket, Message, Time, sequence_of};
@@ -285,6 +285,10 @@ impl EventReader for PacketReader {
         // Up to the latest event, before which none is expected either.
         let last_us = self.clock.last.map_or(0, |(_, last_us)| last_us);
         Pause::Until(passed_us.unwrap_or(last_us))
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        self.decoder.assumptions()
     }
 
     fn skipped(&self) -> &Skipped {

@@ -6,6 +6,7 @@ use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
 use crate::fit::{Fit, Lost, beyond};
+use crate::formats::findings::Findings;
 use crate::formats::growing::{Follow, open_growing};
 use crate::formats::intact::Intact;
 use crate::formats::{self, Format, Reading};
@@ -60,6 +61,9 @@ pub struct Converted {
     pub events_out: u64,
     /// What the output's format could not hold.
     pub lost: Lost,
+    /// What the input's reader took to be so, and what it left out.
+    #[serde(flatten)]
+    pub findings: Findings,
     /// Where and why the input ended before its end; everything before is in the output.
     pub damage: Option<String>,
 }
@@ -164,12 +168,14 @@ pub fn convert(
         .with_context(|| format!("{}: cannot be converted", output.display()));
     // Nothing of a recording is no recording.
     let converted = result?;
+    let findings = Findings::of(&reader);
     let damage = match reader.damage() {
         Some(damage) if converted.events_in == 0 => return Err(damage),
         damage => damage.map(|error| format!("{error:#}")),
     };
     writer.finish()?;
     Ok(Converted {
+        findings,
         damage,
         ..converted
     })

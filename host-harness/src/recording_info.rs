@@ -1,6 +1,5 @@
 //! What `eecvs info` says about a recording.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use eecvs_nostd::{Event, Polarity};
@@ -9,6 +8,7 @@ use sha2::{Digest, Sha256};
 use twox_hash::XxHash3_128;
 
 use crate::content::Rereadable;
+use crate::formats::findings::Findings;
 use crate::formats::intact::Intact;
 use crate::formats::{self, EventReader, Reading};
 
@@ -51,11 +51,9 @@ pub struct RecordingInfo {
     /// Sum modulo 2^128 over the events of XXH3-128 of t, x, y, p as above, 13 bytes each: the same for the same events
     /// in any order; lower-case hex.
     pub xxh128_sum_events: String,
-    /// What the file does not say and its reader took to be so, and why.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub assumptions: Vec<String>,
-    /// What the file holds besides events, by kind.
-    pub skipped: BTreeMap<String, u64>,
+    /// What the file does not say and its reader took to be so, and what it holds besides events.
+    #[serde(flatten)]
+    pub findings: Findings,
     /// Where and why the recording ended before its end; the rest is of what stands before.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub damage: Option<String>,
@@ -106,8 +104,7 @@ pub fn info(
         sum_y: 0,
         sha256_events: String::new(),
         xxh128_sum_events: String::new(),
-        assumptions: Vec::new(),
-        skipped: BTreeMap::new(),
+        findings: Findings::default(),
         damage: None,
     };
     let mut hash = Sha256::new();
@@ -141,13 +138,7 @@ pub fn info(
             progress(read as u64);
         }
         if pass == 0 {
-            // Some show only on the way.
-            let taken = reader.assumptions().iter();
-            info.assumptions = taken.map(ToString::to_string).collect();
-        }
-        if pass == 0 {
-            let skipped = reader.skipped().iter();
-            info.skipped = skipped.map(|(kind, n)| (kind.to_owned(), n)).collect();
+            info.findings = Findings::of(&reader);
         }
     }
     info.xxh128_sum_events = format!("{sum:032x}");

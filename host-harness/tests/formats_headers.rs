@@ -363,3 +363,258 @@ fn text() {
         }
     }
 }
+
+/// An array file of this version whose dictionary has `keys`, and `padding` spaces behind it.
+fn npy(version: u8, keys: &[String], padding: usize, end: &str, data: &[u8]) -> Vec<u8> {
+    let dictionary = format!("{{{}{end}}}{}\n", keys.join(", "), " ".repeat(padding));
+    let mut bytes = [b"\x93NUMPY".as_slice(), &[version, 0]].concat();
+    match version {
+        1 => bytes.extend((dictionary.len() as u16).to_le_bytes()),
+        _ => bytes.extend((dictionary.len() as u32).to_le_bytes()),
+    }
+    bytes.extend(dictionary.as_bytes());
+    bytes.extend(data);
+    bytes
+}
+
+/// The fields of a structured array in this order, and the bytes of its rows.
+fn structured(order: [usize; 4], padding: usize, events: &[Event]) -> (String, Vec<u8>) {
+    let fields = [("t", "<i8"), ("x", "<u2"), ("y", ">u2"), ("p", "|b1")];
+    let mut descr: Vec<String> = order
+        .iter()
+        .map(|field| format!("('{}', '{}')", fields[*field].0, fields[*field].1))
+        .collect();
+    if padding > 0 {
+        descr.insert(2, format!("('', '|V{padding}')"));
+    }
+    let mut rows = Vec::new();
+    for event in events {
+        for (place, field) in order.iter().enumerate() {
+            if place == 2 {
+                rows.extend(vec![0xaa; padding]);
+            }
+            match field {
+                0 => rows.extend(event.t_us.to_le_bytes()),
+                1 => rows.extend(event.x.to_le_bytes()),
+                2 => rows.extend(event.y.to_be_bytes()),
+                _ => rows.push(event.polarity as u8),
+            }
+        }
+    }
+    (format!("'descr': [{}]", descr.join(", ")), rows)
+}
+
+#[test]
+fn npy_arrays() {
+    let folder = tempfile::tempdir().unwrap();
+    let is_column_major = "'fortran_order': False";
+    for count in COUNTS {
+        let want = events(count);
+        let shape = format!("'shape': ({count},)");
+        for (order, inside) in [
+            ([0, 1, 2, 3], 0),
+            ([1, 2, 3, 0], 0),
+            ([3, 2, 1, 0], 3),
+            ([2, 0, 3, 1], 1),
+        ] {
+            let (descr, rows) = structured(order, inside, &want);
+            for keys in orders(&[&descr, is_column_major, &shape]) {
+                for version in [1, 2, 3] {
+                    for (padding, end) in PADDINGS.into_iter().zip([", ", "", ","]) {
+                        let bytes = npy(version, &keys, padding, end, &rows);
+                        let what = format!("version {version}, {keys:?}, {padding}");
+                        wants(folder.path(), "a.npy", &bytes, false, &want, &what);
+                    }
+                }
+            }
+        }
+        // A table of four columns, a row or a column after the other.
+        let columns: [Vec<f64>; 4] = [
+            |event: &Event| event.t_us as f64,
+            |event: &Event| f64::from(event.x),
+            |event: &Event| f64::from(event.y),
+            |event: &Event| f64::from(event.polarity as u8),
+        ]
+        .map(|of| want.iter().map(of).collect());
+        let by_column = columns.concat();
+        let by_row = (0..count).flat_map(|row| columns.iter().map(move |column| column[row]));
+        let shape = format!("'shape': ({count}, 4)");
+        for (values, order) in [
+            (by_row.collect::<Vec<f64>>(), "'fortran_order': False"),
+            (by_column, "'fortran_order': True"),
+        ] {
+            let data: Vec<u8> = values
+                .iter()
+                .flat_map(|value| value.to_be_bytes())
+                .collect();
+            for keys in orders(&["'descr': '>f8'", order, &shape]) {
+                for padding in PADDINGS {
+                    let bytes = npy(1, &keys, padding, ", ", &data);
+                    let what = format!("{keys:?}, {padding}");
+                    wants(folder.path(), "a.npy", &bytes, false, &want, &what);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn zips() {
+    use std::io::{Cursor, Write as _};
+    use zip::write::{FullFileOptions, StreamWriter};
+    use zip::{CompressionMethod, ZipWriter};
+
+    let folder = tempfile::tempdir().unwrap();
+    for count in COUNTS {
+        let want = events(count);
+        let inner = written(folder.path(), "events.dat", &want);
+        for method in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+            for (padding, is_large) in PADDINGS.into_iter().zip([false, true, false]) {
+                for place in ["events.dat", "a folder/of/events.dat"] {
+                    let what = format!("{method:?}, {padding}, {is_large}, {place}");
+                    let mut options = FullFileOptions::default()
+                        .compression_method(method)
+                        .large_file(is_large);
+                    if padding > 0 {
+                        let extra = vec![b'e'; padding].into_boxed_slice();
+                        options.add_extra_field(0x7733, extra, false).unwrap();
+                    }
+                    let other = vec![b'o'; padding];
+                    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+                    for (name, bytes) in [
+                        ("README", other.as_slice()),
+                        (place, &inner),
+                        ("licence", &other),
+                    ] {
+                        zip.start_file(name, options.clone()).unwrap();
+                        zip.write_all(bytes).unwrap();
+                    }
+                    zip.set_comment("c".repeat(padding)).unwrap();
+                    let bytes = zip.finish().unwrap().into_inner();
+                    reads(folder.path(), "a.zip", &bytes, &want, &what);
+
+                    // Sizes behind the data, as of a writer that cannot seek.
+                    let mut bytes = Vec::new();
+                    let mut zip = ZipWriter::new_stream(&mut bytes);
+                    zip.start_file(place, options).unwrap();
+                    zip.write_all(&inner).unwrap();
+                    let _: StreamWriter<_> = zip.finish().unwrap();
+                    reads(
+                        folder.path(),
+                        "a.zip",
+                        &bytes,
+                        &want,
+                        &format!("{what}, streamed"),
+                    );
+                }
+            }
+        }
+    }
+}
+
+/// Reads `bytes`, whatever else stands in them.
+fn reads(folder: &Path, name: &str, bytes: &[u8], want: &[Event], what: &str) {
+    let path = folder.join(name);
+    fs::write(&path, bytes).unwrap();
+    let mut reader = formats::open(&path, None).expect(what);
+    let mut got = Vec::new();
+    while reader.read(&mut got).expect(what) > 0 {}
+    assert!(got == want, "{what}: {} of {}", got.len(), want.len());
+}
+
+/// A MATLAB 5 file of rows of numbers: `doubles`, or the smallest type that holds them as MATLAB saves them.
+fn mat(text: &str, is_big: bool, is_deflated: bool, variables: &[(&str, &[f64])]) -> Vec<u8> {
+    use std::io::Write as _;
+
+    let word = |value: u32| {
+        if is_big {
+            value.to_be_bytes()
+        } else {
+            value.to_le_bytes()
+        }
+    };
+    let words = |values: &[u32]| values.iter().copied().flat_map(word).collect::<Vec<u8>>();
+    let mut bytes = format!("{text:<124}").into_bytes();
+    bytes.extend(if is_big { *b"\x01\0MI" } else { *b"\0\x01IM" });
+    for (name, values) in variables {
+        let mut array = words(&[6, 8, 6, 0, 5, 8, 1, values.len() as u32]);
+        array.extend(words(&[1, name.len() as u32]));
+        array.extend(name.as_bytes());
+        array.resize(array.len().next_multiple_of(8), 0);
+        let is_small = values.iter().all(|value| (0.0..256.0).contains(value));
+        // Doubles are of type 9, bytes of type 2.
+        array.extend(words(&if is_small {
+            [2, values.len() as u32]
+        } else {
+            [9, 8 * values.len() as u32]
+        }));
+        for value in *values {
+            match (is_small, is_big) {
+                (true, _) => array.push(*value as u8),
+                (_, true) => array.extend(value.to_be_bytes()),
+                (_, false) => array.extend(value.to_le_bytes()),
+            }
+        }
+        array.resize(array.len().next_multiple_of(8), 0);
+        let mut element = words(&[14, array.len() as u32]);
+        element.extend(array);
+        if is_deflated {
+            let mut deflate =
+                flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+            deflate.write_all(&element).unwrap();
+            let deflated = deflate.finish().unwrap();
+            element = words(&[15, deflated.len() as u32]);
+            element.extend(deflated);
+        }
+        bytes.extend(element);
+    }
+    bytes
+}
+
+#[test]
+fn mat_files() {
+    let folder = tempfile::tempdir().unwrap();
+    for count in COUNTS {
+        let want = events(count);
+        let columns: [Vec<f64>; 4] = [
+            |event: &Event| event.t_us as f64,
+            |event: &Event| f64::from(event.x),
+            |event: &Event| f64::from(event.y),
+            |event: &Event| f64::from(event.polarity as u8),
+        ]
+        .map(|of| want.iter().map(of).collect());
+        let other = vec![0.5; 9_000 / 8];
+        for text in [
+            "",
+            "MATLAB 5.0 MAT-file, Platform: GLNXA64, Created on: Mon Jan 1",
+        ] {
+            for names in [["ts", "x", "y", "p"], ["t", "x", "y", "polarity"]] {
+                let known = names.iter().copied().zip(columns.iter().map(Vec::as_slice));
+                let known: Vec<(&str, &[f64])> = known.collect();
+                for first in 0..4 {
+                    for has_other in [false, true] {
+                        let mut variables = known.clone();
+                        variables.rotate_left(first);
+                        if has_other {
+                            variables.insert(first, ("calibration", &other));
+                        }
+                        for (is_big, is_deflated) in
+                            [(false, false), (false, true), (true, false), (true, true)]
+                        {
+                            let bytes = mat(text, is_big, is_deflated, &variables);
+                            let what = format!(
+                                "{text}, {names:?} from {first}, other {has_other}, big {is_big}, \
+                                 deflated {is_deflated}"
+                            );
+                            if has_other {
+                                reads(folder.path(), "a.mat", &bytes, &want, &what);
+                            } else {
+                                wants(folder.path(), "a.mat", &bytes, false, &want, &what);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -8,6 +8,7 @@ use std::io::{Cursor, Write};
 use std::path::Path;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
+use host_harness::formats::findings::Findings;
 use host_harness::formats::{self, BadEvents, Columns, EventReader, Reading, TimeUnit};
 use support::{drain, regular};
 
@@ -240,6 +241,65 @@ fn flags_that_do_not_fit_are_refused() {
     assert!(error(file, &with_columns("t=t,x=x,y=y,p=colour")).contains("no arrays"));
     let table = npy("'<i8'", false, "(250, 4)", &t);
     assert!(error(table, &with_columns("t=t,x=x,y=y,p=p")).contains("have no names"));
+}
+
+/// Times are kept in microseconds: where a file has finer ones, its reader says so, and of nothing else.
+#[test]
+fn times_that_are_rounded_are_said() {
+    let said = |bytes: Vec<u8>, unit: TimeUnit| {
+        let reading = Reading {
+            size: Some(SENSOR),
+            time_unit: Some(unit),
+            ..Reading::default()
+        };
+        let mut reader = open(bytes, &reading).unwrap();
+        let (events, error) = drain(reader.as_mut());
+        assert!(error.is_none(), "{error:?}");
+        assert_eq!(events.len(), 3);
+        let findings = Findings::of(reader.as_ref());
+        let mut taken = findings.assumptions.iter();
+        taken.any(|taken| taken.starts_with("times whole microseconds"))
+    };
+    let text = |times: [&str; 3]| -> Vec<u8> {
+        let lines = times.map(|time| format!("{time} 1 2 1\n"));
+        ["t x y p\n", &lines.concat()].concat().into_bytes()
+    };
+    let array = |descr: &str, times: Vec<Vec<u8>>| {
+        let places = [3_u16, 4, 1].map(u16::to_le_bytes).concat();
+        let column = |descr, data: &[u8]| npy(descr, false, "(3,)", data);
+        zip(&[
+            ("t.npy", column(descr, &times.concat())),
+            ("x.npy", column("'<u2'", &places)),
+            ("y.npy", column("'<u2'", &places)),
+            ("p.npy", column("'|b1'", &[1, 0, 1])),
+        ])
+    };
+    let doubles = |times: [f64; 3]| array("'<f8'", times.map(|t| t.to_le_bytes().to_vec()).into());
+    let floats = |times: [f32; 3]| array("'<f4'", times.map(|t| t.to_le_bytes().to_vec()).into());
+    let whole = |times: [i64; 3]| array("'<i8'", times.map(|t| t.to_le_bytes().to_vec()).into());
+    for (is_said, bytes, unit) in [
+        (false, text(["0.1", "0.123456", "1e1"]), TimeUnit::S),
+        (false, text(["0.1", "0.123456000", "10.0"]), TimeUnit::S),
+        (true, text(["0.1", "0.1234567", "10.0"]), TimeUnit::S),
+        (false, text(["1000", "2000", "3000"]), TimeUnit::Ns),
+        (true, text(["1000", "2000", "3001"]), TimeUnit::Ns),
+        (true, text(["1", "2.5", "3"]), TimeUnit::Us),
+        (false, whole([1000, 2000, 3_000_000]), TimeUnit::Ns),
+        (true, whole([1000, 2000, 3_000_001]), TimeUnit::Ns),
+        (false, whole([1, 2, 3]), TimeUnit::Ms),
+        (
+            false,
+            doubles([0.1, 0.123_456, 4e9 + 0.000_001]),
+            TimeUnit::S,
+        ),
+        (true, doubles([0.1, 0.123_456_7, 0.2]), TimeUnit::S),
+        (true, doubles([1.0, 2.5, 3.0]), TimeUnit::Us),
+        (false, doubles([1.0, 2.0, 3.0]), TimeUnit::Us),
+        (false, floats([0.1, 0.123_456, 1.234_567]), TimeUnit::S),
+        (true, floats([1.0, 2.5, 3.0]), TimeUnit::Us),
+    ] {
+        assert_eq!(said(bytes.clone(), unit), is_said, "{unit:?} of {bytes:?}");
+    }
 }
 
 #[test]

@@ -59,7 +59,7 @@ fn check(name: &str, file: &str, format: &str) -> Option<RecordingInfo> {
     assert_eq!(want["t_first_us"], info.t_first_us.expect("events"));
     assert_eq!(want["t_last_us"], info.t_last_us.expect("events"));
     assert_eq!(want["sha256_events"], info.sha256_events);
-    eprintln!("{name}: {:?} {:?}", info.sensor, info.skipped);
+    eprintln!("{name}: {:?} {:?}", info.sensor, info.findings.skipped);
     Some(info)
 }
 
@@ -103,7 +103,7 @@ fn dat_without_a_size() {
 fn es() {
     check("es_csv_1ms_grid", "dvs.es", "es");
     if let Some(info) = check("es_csv_1ms_grid", "atis.es", "es") {
-        assert!(info.skipped.contains_key("threshold crossings"));
+        assert!(info.findings.skipped.contains_key("threshold crossings"));
     }
 }
 
@@ -123,7 +123,7 @@ fn aedat2() {
     check("dvs128_walking_sparse", "neal_walking.aedat", "aedat2");
     check("dvs128_standup", "cam255_alex_standing_up2.aedat", "aedat2");
     if let Some(info) = check("davis240_boxes_moderate", "IMU_translBoxes.aedat", "aedat2") {
-        assert!(info.skipped["APS and IMU words"] > 0);
+        assert!(info.findings.skipped["APS and IMU words"] > 0);
     }
 }
 
@@ -131,7 +131,7 @@ fn aedat2() {
 fn aedat4() {
     if let Some(info) = check("davis346_static_sparse", "davis346.aedat4", "aedat4") {
         for kind in ["frames", "IMU samples", "triggers"] {
-            assert!(info.skipped[kind] > 0, "{kind}");
+            assert!(info.findings.skipped[kind] > 0, "{kind}");
         }
     }
     check("davis346_building_dense", "davis.aedat4", "aedat4");

@@ -132,6 +132,7 @@ fn table(converted: &Converted) -> String {
             lines.push((what, count.to_string()));
         }
     }
+    lines.extend(converted.findings.rows());
     rows(lines)
 }
 

@@ -18,6 +18,7 @@ use super::order::{OrderOptions, SortOptions, tell_disorder};
 use super::output::{Place, rows};
 use crate::encode::step::quantiser_within;
 use crate::encode::{Codec, EncodeSummary, Limits, all_cores, encode, readout};
+use crate::formats::findings::Findings;
 use crate::formats::growing::open_growing;
 use crate::formats::intact::Intact;
 use crate::formats::piped::is_stream;
@@ -462,6 +463,7 @@ impl Encode {
             },
         )?;
         drop(progress);
+        let findings = Findings::of(&reader);
         let damage = reader.damage().map(|error| format!("{error:#}"));
         if summary.events_in > 0 || damage.is_none() {
             out.finish()?;
@@ -475,7 +477,7 @@ impl Encode {
                 self.output.display()
             );
         }
-        let report = Report::new(&self.input, &self.output, &summary);
+        let report = Report::new(&self.input, &self.output, &summary, findings);
         let place = Place::beside([self.output.as_path()]);
         place.tell(self.json, &report, || report.table())?;
         tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())?;
@@ -512,10 +514,12 @@ struct Report<'c> {
     summary: &'c EncodeSummary,
     events_exact: u64,
     bits_per_encoded_event: f64,
+    #[serde(flatten)]
+    findings: Findings,
 }
 
 impl<'c> Report<'c> {
-    fn new(input: &Path, output: &Path, summary: &'c EncodeSummary) -> Self {
+    fn new(input: &Path, output: &Path, summary: &'c EncodeSummary, findings: Findings) -> Self {
         let metadata = std::fs::metadata(input).ok().filter(Metadata::is_file);
         let bytes_in = metadata.map(|metadata| metadata.len());
         Self {
@@ -528,6 +532,7 @@ impl<'c> Report<'c> {
             summary,
             events_exact: summary.events_exact(),
             bits_per_encoded_event: summary.bits_per_encoded_event(),
+            findings,
         }
     }
 
@@ -597,6 +602,7 @@ impl<'c> Report<'c> {
                 format!("{:.3} s", summary.wall_s),
             ),
         ]);
+        table.extend(self.findings.rows());
         rows(table)
     }
 }

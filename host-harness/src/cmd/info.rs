@@ -46,7 +46,7 @@ impl Info {
 
 fn table(info: &RecordingInfo) -> String {
     let time = |t: Option<u64>| t.map_or_else(|| "none".to_owned(), |t| t.to_string());
-    let mut text = rows([
+    let facts = [
         (
             "sensor",
             info.sensor
@@ -69,12 +69,6 @@ fn table(info: &RecordingInfo) -> String {
         ("sum_y", info.sum_y.to_string()),
         ("sha256_events", info.sha256_events.clone()),
         ("xxh128_sum_events", info.xxh128_sum_events.clone()),
-    ]);
-    for assumption in &info.assumptions {
-        text += &format!("taken for      {assumption}\n");
-    }
-    for (kind, count) in &info.skipped {
-        text += &format!("skipped        {count} {kind}\n");
-    }
-    text
+    ];
+    rows(facts.into_iter().chain(info.findings.rows()))
 }

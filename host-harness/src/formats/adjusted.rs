@@ -43,19 +43,17 @@ pub fn adjusted(
         format.title
     );
     let offset_us = if is_table { 0 } else { reading.time_offset_us };
-    let mut assumptions = reader.assumptions().to_vec();
     let sensor = reader.sensor();
-    if reading.size.is_some_and(|size| size != sensor) {
-        let Sensor { width, height } = sensor;
-        assumptions.push(Assumption {
-            what: "stated size",
-            taken: format!("{width}x{height}"),
-            why: "the file states it; --width and --height count where a file states none"
-                .to_owned(),
-        });
-    } else if offset_us == 0 {
+    let is_other = reading.size.is_some_and(|size| size != sensor);
+    let stated_size = is_other.then(|| Assumption {
+        what: "stated size",
+        taken: format!("{}x{}", sensor.width, sensor.height),
+        why: "the file states it; --width and --height count where a file states none".to_owned(),
+    });
+    if stated_size.is_none() && offset_us == 0 {
         return Ok(reader);
     }
+    let assumptions = With::new(reader.as_ref(), stated_size);
     Ok(Box::new(Adjusted {
         reader,
         name: name.to_owned(),
@@ -69,11 +67,43 @@ pub fn adjusted(
     }))
 }
 
+/// What a reader took to be so, and one thing more.
+pub struct With {
+    /// Those of the reader behind the added one.
+    all: Vec<Assumption>,
+    /// How many are added.
+    added: usize,
+}
+
+impl With {
+    /// What `reader` took so far, and `added`.
+    pub fn new(reader: &dyn EventReader, added: Option<Assumption>) -> Self {
+        let mut with = Self {
+            added: usize::from(added.is_some()),
+            all: added.into_iter().collect(),
+        };
+        with.update(reader);
+        with
+    }
+
+    /// Takes over what the reader found on its way.
+    pub fn update(&mut self, reader: &dyn EventReader) {
+        let known = self.all.len() - self.added;
+        let found = reader.assumptions().iter().skip(known);
+        self.all.extend(found.cloned());
+    }
+
+    /// All of it.
+    pub fn all(&self) -> &[Assumption] {
+        &self.all
+    }
+}
+
 /// A reader whose times are moved, and which says more than the reader itself knows.
 struct Adjusted {
     reader: Box<dyn EventReader>,
     name: String,
-    assumptions: Vec<Assumption>,
+    assumptions: With,
     offset_us: i64,
     leaves_out: bool,
     /// Events read, those that were left out included.
@@ -138,7 +168,7 @@ impl EventReader for Adjusted {
     }
 
     fn assumptions(&self) -> &[Assumption] {
-        &self.assumptions
+        self.assumptions.all()
     }
 
     fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
@@ -150,6 +180,7 @@ impl EventReader for Adjusted {
             let read = self.reader.read(events)?;
             self.move_events(events, start);
             self.skipped = self.reader.skipped().clone();
+            self.assumptions.update(self.reader.as_ref());
             if self.leaves_out {
                 self.skipped.add(BEFORE_ZERO, self.before_zero);
             }

@@ -106,6 +106,15 @@ impl Decimal {
         self.is_whole().then_some(value)
     }
 
+    /// Whether [`Decimal::scaled`] by this rounds nothing away.
+    pub fn is_whole_at(self, shift: i32) -> bool {
+        Self {
+            exponent: self.exponent.saturating_add(shift),
+            ..self
+        }
+        .is_whole()
+    }
+
     /// Whether the fraction is 0.
     pub fn is_whole(self) -> bool {
         let places = self.exponent.min(0).unsigned_abs();

@@ -24,6 +24,7 @@ pub mod evt21;
 pub mod evt21_word;
 pub mod evt3;
 pub mod evt4;
+pub mod findings;
 mod flatbuffer;
 mod flatbuffer_writer;
 mod following;

@@ -151,7 +151,7 @@ pub const SIZE_TAKEN: &str = "sensor size";
 /// Something that a file does not say and its reader took to be so.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Assumption {
-    /// What: `time unit`, `columns`, `chip`, `polarity`, `sensor size`, `first pixel`.
+    /// What: `time unit`, `times`, `columns`, `chip`, `polarity`, `sensor size`, `first pixel`.
     pub what: &'static str,
     /// What it was taken to be.
     pub taken: String,
@@ -167,6 +167,18 @@ impl Assumption {
             what: SIZE_TAKEN,
             taken: format!("{}x{}", sensor.width, sensor.height),
             why: "the largest x and y; --width and --height say otherwise".to_owned(),
+        }
+    }
+}
+
+impl Assumption {
+    /// Times were rounded to microseconds.
+    #[must_use]
+    pub(super) fn times_rounded(how: &str) -> Self {
+        Self {
+            what: "times",
+            taken: "whole microseconds".to_owned(),
+            why: format!("the file has finer ones, which are rounded {how}"),
         }
     }
 }

@@ -81,6 +81,30 @@ impl Scale {
     }
 }
 
+/// By how much a time in floats may miss a whole microsecond as floats do, in us.
+const FLOAT_NOISE_US: f64 = 1e-3;
+
+impl Scale {
+    /// Whether [`Scale::us`] rounds the time away, beyond what floats do by themselves.
+    fn rounds(self, time: Number) -> bool {
+        match time {
+            Number::Whole(time) => {
+                self.by > 1 && i128::from(time) * i128::from(self.times) % i128::from(self.by) != 0
+            }
+            Number::Float(time) => {
+                let us = time * (self.times as f64 / self.by as f64);
+                // A value of 32 bits is as far off as these are.
+                let epsilon = if f64::from(time as f32) == time {
+                    f64::from(f32::EPSILON)
+                } else {
+                    4.0 * f64::EPSILON
+                };
+                (us - us.round()).abs() > FLOAT_NOISE_US + us.abs() * epsilon
+            }
+        }
+    }
+}
+
 impl From<TimeUnit> for Scale {
     fn from(unit: TimeUnit) -> Self {
         Self::shift(unit.shift())
@@ -160,6 +184,8 @@ pub struct RowEvents {
     met: Met,
     /// Of times of 32 bits: the last one, and what the wraps before it add.
     clock: Option<(i64, i64)>,
+    /// Whether a time was rounded, which was said.
+    is_rounded: bool,
 }
 
 impl RowEvents {
@@ -234,6 +260,7 @@ impl RowEvents {
             zero_is_none,
             met: Met::default(),
             clock: times.is_u32.then_some((0, 0)),
+            is_rounded: false,
         })
     }
 
@@ -330,6 +357,11 @@ impl RowEvents {
             .us(time)
             .and_then(|t_us| t_us.checked_add(self.offset_us));
         let t_us = t_us.ok_or(Bad::NoTime)?;
+        if !self.is_rounded && self.scale.rounds(time) {
+            self.is_rounded = true;
+            self.assumptions
+                .push(Assumption::times_rounded("to the nearest"));
+        }
         u64::try_from(t_us).map_err(|_| Bad::Negative(t_us))
     }
 

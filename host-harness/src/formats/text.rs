@@ -167,6 +167,7 @@ impl TextReader {
             offset_us: reading.time_offset_us,
             leaves_out: reading.bad_events == BadEvents::LeaveOut,
             polarities,
+            is_rounded: false,
             assumptions,
             sensor: LARGEST,
             events: 0,
@@ -446,6 +447,8 @@ pub struct TextDecoder {
     offset_us: i64,
     leaves_out: bool,
     polarities: Polarities,
+    /// Whether a time was rounded, which was said.
+    is_rounded: bool,
     assumptions: Vec<Assumption>,
     sensor: Sensor,
     events: u64,
@@ -583,6 +586,11 @@ impl TextDecoder {
             .and_then(|t_us| t_us.checked_add(self.offset_us))
             .and_then(|t_us| u64::try_from(t_us).ok())
             .ok_or(Bad::TimeRange)?;
+        if !self.is_rounded && !time.is_whole_at(self.unit.shift()) {
+            self.is_rounded = true;
+            self.assumptions
+                .push(Assumption::times_rounded("to the nearest"));
+        }
         let side = |field: &[u8]| Decimal::parse(field).and_then(Decimal::whole);
         let (Some(x), Some(y)) = (side(field(x)), side(field(y))) else {
             return Err(Bad::NoPixel);

@@ -10,6 +10,7 @@ use std::io::{Read, Seek, Write};
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
 
+use super::adjusted::With;
 use super::format::{FORMATS, open_source};
 use super::npz;
 use super::reading::{Assumption, Reading};
@@ -63,16 +64,15 @@ pub fn open(
     let mut others = Skipped::default();
     let files = entries.iter().filter(|entry| !is_folder(entry)).count();
     others.add("other files of the zip", files.saturating_sub(1) as u64);
-    let mut assumptions = reader.assumptions().to_vec();
-    if place.is_none() && recordings(entries).count() > 1 {
-        assumptions.push(Assumption {
-            what: "recording",
-            taken: entry.name.clone(),
-            why: format!(
-                "it is called events or is the only one that is no text; {name}/NAME names another"
-            ),
-        });
-    }
+    let is_chosen = place.is_none() && recordings(entries).count() > 1;
+    let chosen = is_chosen.then(|| Assumption {
+        what: "recording",
+        taken: entry.name.clone(),
+        why: format!(
+            "it is called events or is the only one that is no text; {name}/NAME names another"
+        ),
+    });
+    let assumptions = With::new(reader.as_ref(), chosen);
     Ok(Box::new(Inside {
         skipped: all(reader.skipped(), &others),
         reader,
@@ -157,7 +157,7 @@ struct Inside {
     reader: Box<dyn EventReader>,
     others: Skipped,
     skipped: Skipped,
-    assumptions: Vec<Assumption>,
+    assumptions: With,
 }
 
 impl EventReader for Inside {
@@ -174,12 +174,13 @@ impl EventReader for Inside {
     }
 
     fn assumptions(&self) -> &[Assumption] {
-        &self.assumptions
+        self.assumptions.all()
     }
 
     fn read(&mut self, events: &mut Vec<Event>) -> anyhow::Result<usize> {
         let read = self.reader.read(events);
         self.skipped = all(self.reader.skipped(), &self.others);
+        self.assumptions.update(self.reader.as_ref());
         read
     }
 

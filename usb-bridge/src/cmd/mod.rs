@@ -9,9 +9,12 @@ pub mod receive;
 pub mod simulate;
 
 use std::io::{Write, stderr};
+use std::path::Path;
 
-/// A line on stderr.
+/// A line on stderr, under the name of the program that runs: `eecvs-usb`, or `eecvs-hub`.
 fn warn(text: &str) {
-    // Nobody is left to be told that stderr is gone.
-    let _ = writeln!(stderr(), "eecvs-usb: {text}");
+    let path = std::env::args_os().next().unwrap_or_default();
+    let name = Path::new(&path).file_stem().unwrap_or_default();
+    // Nobody reads a stderr that is gone.
+    let _ = writeln!(stderr(), "{}: {text}", name.display());
 }

@@ -10,8 +10,8 @@ use super::fields::Serialisation;
 use super::message::{Head, Kind};
 use super::message_events::MessageEvents;
 use super::topics::{Topics, Use};
-use crate::formats::Skipped;
 use crate::formats::input::{Batch, Decode, Reader};
+use crate::formats::{Assumption, Skipped};
 
 /// Longest message.
 pub const MESSAGE_MAX: usize = 1 << 28;
@@ -204,6 +204,10 @@ impl Decode for RosDecoder {
 
     fn sensor(&self) -> Sensor {
         self.events.sensor()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        self.events.assumptions()
     }
 
     fn skipped(&self) -> &Skipped {

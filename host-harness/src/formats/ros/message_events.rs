@@ -21,10 +21,10 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::fields::Fields;
 use super::message::{Content, Damage, Encoding};
-use crate::formats::Skipped;
 use crate::formats::evt3::{VECTOR_EVENTS, WordDecoder};
 use crate::formats::input::{Batch, OUTSIDE};
 use crate::formats::raw_row::Outside;
+use crate::formats::{Assumption, Skipped};
 
 /// What words of `libcaer_cmp` have said.
 #[derive(Debug, Default)]
@@ -84,6 +84,8 @@ pub struct MessageEvents {
     /// Whether events outside of the sensor are counted instead of refused.
     pub(super) leave_out: bool,
     events: u64,
+    /// That times were rounded, if any was.
+    assumptions: Vec<Assumption>,
     pub(super) skipped: Skipped,
 }
 
@@ -102,6 +104,7 @@ impl MessageEvents {
             is_counted: true,
             leave_out: false,
             events: 0,
+            assumptions: Vec::new(),
             skipped: Skipped::default(),
         }
     }
@@ -110,6 +113,12 @@ impl MessageEvents {
     #[must_use]
     pub const fn sensor(&self) -> Sensor {
         self.sensor
+    }
+
+    /// What was taken to be so, so far.
+    #[must_use]
+    pub fn assumptions(&self) -> &[Assumption] {
+        &self.assumptions
     }
 
     /// Words that are no events, so far.
@@ -204,6 +213,9 @@ impl MessageEvents {
             }
             return Err(self.outside(at, x.into(), y.into()));
         };
+        if t_ns % 1000 != 0 && self.assumptions.is_empty() {
+            self.assumptions.push(Assumption::times_rounded("down"));
+        }
         batch.push(Event {
             t_us: t_ns / 1000,
             x,
