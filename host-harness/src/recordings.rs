@@ -44,6 +44,8 @@ pub enum Why {
     SameEventsAs(String),
     /// It lies in a folder and cannot be read, or has no events.
     NotRead(String),
+    /// So many files with this ending lie in a folder, which is not searched for such.
+    PassedBy(u64),
 }
 
 /// A file that is left out.
@@ -85,7 +87,7 @@ pub fn read<T>(
     progress: &dyn Fn(usize),
     keep: &mut dyn FnMut(Source) -> T,
 ) -> Result<Recordings<T>> {
-    let files = files(paths)?;
+    let Found { files, passed_by } = files(paths)?;
     let mut by_rank: Vec<(usize, &File)> = files.iter().enumerate().collect();
     by_rank.sort_by_key(|(_, file)| file.rank);
     let mut taken = Vec::new();
@@ -121,6 +123,10 @@ pub fn read<T>(
         let file = files.get(place)?.path.display().to_string();
         Some(LeftOut { file, why })
     });
+    let left_out = left_out.chain(passed_by.into_iter().map(|(pattern, files)| LeftOut {
+        file: pattern.display().to_string(),
+        why: Why::PassedBy(files),
+    }));
     Ok(Recordings {
         taken: recordings
             .map(|(name, (_, file, kept))| Recording {
@@ -149,10 +155,19 @@ pub fn notice(left_out: &[LeftOut]) -> Option<String> {
         Why::SameEventsAs(taken) => format!("\n  {file}: the same events as {taken}"),
         // The error names the file.
         Why::NotRead(error) => format!("\n  {error}"),
+        Why::PassedBy(1) => format!("\n  {file}: a file that counts where it is named"),
+        Why::PassedBy(files) => {
+            format!("\n  {file}: {files} files that count where they are named")
+        }
     });
-    let files = if left_out.len() == 1 { "file" } else { "files" };
+    let count = left_out.iter().map(|LeftOut { why, .. }| match why {
+        Why::PassedBy(files) => *files,
+        _ => 1,
+    });
+    let count: u64 = count.sum();
+    let files = if count == 1 { "file" } else { "files" };
     let lines: String = lines.collect();
-    (!left_out.is_empty()).then(|| format!("{} {files} left out:{lines}", left_out.len()))
+    (count > 0).then(|| format!("{count} {files} left out:{lines}"))
 }
 
 /// SHA-256 of the events, with times from the first one on; those of equal times are sorted.
@@ -179,9 +194,26 @@ fn fingerprint(source: &Source) -> [u8; 32] {
     hash.finalize().into()
 }
 
+/// What paths lead to.
+struct Found {
+    /// Every file that may be a recording, once.
+    files: Vec<File>,
+    /// How many files of folders have the ending of a format that these are not searched for: `FOLDER/*.ENDING`.
+    passed_by: BTreeMap<PathBuf, u64>,
+}
+
 /// Every file, once.
-fn files(paths: &[PathBuf]) -> Result<Vec<File>> {
+fn files(paths: &[PathBuf]) -> Result<Found> {
     let mut found: Vec<File> = Vec::new();
+    let mut passed_by = BTreeMap::new();
+    let mut in_folder = |path: PathBuf, is_below: bool| {
+        let pattern = passed_by_pattern(&path);
+        let file = File::in_folder(path, is_below);
+        if let (None, Some(pattern)) = (&file, pattern) {
+            *passed_by.entry(pattern).or_default() += 1;
+        }
+        file
+    };
     for path in paths {
         if !path.is_dir() {
             found.push(File {
@@ -194,13 +226,9 @@ fn files(paths: &[PathBuf]) -> Result<Vec<File>> {
         for entry in entries(path)? {
             if entry.is_dir() {
                 let inside = entries(&entry)?;
-                found.extend(
-                    inside
-                        .into_iter()
-                        .filter_map(|path| File::in_folder(path, true)),
-                );
+                found.extend(inside.into_iter().filter_map(|path| in_folder(path, true)));
             } else {
-                found.extend(File::in_folder(entry, false));
+                found.extend(in_folder(entry, false));
             }
         }
     }
@@ -217,7 +245,18 @@ fn files(paths: &[PathBuf]) -> Result<Vec<File>> {
             }
         }
     }
-    Ok(once)
+    Ok(Found {
+        files: once,
+        passed_by,
+    })
+}
+
+/// `FOLDER/*.ENDING` of a file whose ending is that of a format.
+fn passed_by_pattern(path: &Path) -> Option<PathBuf> {
+    let name = path.file_name()?.to_str()?.to_ascii_lowercase();
+    let mut endings = formats::FORMATS.iter().flat_map(|format| format.endings);
+    let ending = endings.find(|ending| name.ends_with(*ending))?;
+    (!path.is_dir()).then(|| path.with_file_name(format!("*{ending}")))
 }
 
 impl File {
@@ -428,6 +467,28 @@ mod tests {
     }
 
     #[test]
+    fn what_is_passed_by_is_said() {
+        let folder = Folder::new();
+        folder.write("one/a.raw", 0, 0);
+        for name in ["one/b.dat", "one/c.DAT", "one/notes", "two/d.npz"] {
+            std::fs::write(folder.at(name), "").unwrap();
+        }
+        let (taken, left_out) = folder.read(&[""]).unwrap();
+        assert_eq!(taken, ["one"]);
+        let passed_by = |pattern: &str, files| LeftOut {
+            file: folder.at(pattern).display().to_string(),
+            why: Why::PassedBy(files),
+        };
+        assert_eq!(
+            left_out,
+            [passed_by("one/*.dat", 2), passed_by("two/*.npz", 1)]
+        );
+        let text = notice(&left_out).unwrap();
+        assert!(text.starts_with("3 files left out:"), "{text}");
+        assert!(text.contains("*.dat: 2 files that count where they are named"));
+    }
+
+    #[test]
     fn the_shared_recordings_are_those_of_the_record() {
         let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data"));
         if !folder.is_dir() {
@@ -459,9 +520,12 @@ mod tests {
                 taken.ends_with("davis346_building_dense/davis.aedat4")
                     && left_out.file.contains("derived_layouts")
             }
-            Why::NotRead(_) => false,
+            Why::NotRead(_) | Why::PassedBy(_) => false,
         };
-        assert_eq!(found.left_out.len(), 2);
-        assert!(found.left_out.iter().all(same), "{:?}", found.left_out);
+        let passed_by = |left_out: &LeftOut| matches!(left_out.why, Why::PassedBy(_));
+        let mut left_out = found.left_out;
+        left_out.retain(|left_out| !passed_by(left_out));
+        assert_eq!(left_out.len(), 2);
+        assert!(left_out.iter().all(same), "{left_out:?}");
     }
 }

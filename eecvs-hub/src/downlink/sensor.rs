@@ -29,6 +29,8 @@ pub(super) struct Sensor {
     pub(super) lost_before: u64,
     /// When something has come of it last.
     pub(super) heard: Option<Instant>,
+    /// By how much its clock is ahead of the receiver's, as its last message shows; less by what that took.
+    pub(super) ahead_us: i64,
 }
 
 /// What is asked of a sensor.
@@ -87,17 +89,24 @@ pub(super) struct Run {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Joined {
     pub(super) from_start: bool,
+    /// When the receiver began, by its own clock.
     pub(super) started_us: u64,
 }
 
-impl Joined {
-    /// Whether all of a run is wanted: it began after the receiver.
-    pub(super) const fn is_whole(self, run: u64) -> bool {
-        self.from_start || run >= self.started_us
-    }
-}
-
 impl Sensor {
+    /// Notes that its clock showed `sensor_us` at `at_us` of the receiver's or shortly before.
+    pub(super) fn note_clock(&mut self, sensor_us: u64, at_us: u64) {
+        let ahead_us = i128::from(sensor_us) - i128::from(at_us);
+        self.ahead_us = ahead_us.clamp(i64::MIN.into(), i64::MAX.into()) as i64;
+    }
+
+    /// Whether all of a run is wanted: it began after the receiver. A run is named by the time of its start by
+    /// the sensor's clock, which may be hours off.
+    pub(super) fn is_whole(&self, run: u64, joined: Joined) -> bool {
+        let began_us = i128::from(run) - i128::from(self.ahead_us);
+        joined.from_start || began_us >= i128::from(joined.started_us)
+    }
+
     /// A run, of which `number` has come first; none where too many are newer.
     pub(super) fn run(&mut self, run: u64, number: u64, joined: Joined) -> Option<&mut Run> {
         if !self.runs.contains_key(&run) {
@@ -106,7 +115,11 @@ impl Sensor {
                 return None;
             }
             self.report.runs += 1;
-            let first = if joined.is_whole(run) { 0 } else { number };
+            let first = if self.is_whole(run, joined) {
+                0
+            } else {
+                number
+            };
             let new = Run {
                 numbers: Numbers::from(first),
                 held: BTreeMap::new(),
@@ -141,5 +154,51 @@ impl Run {
             self.go_on();
         }
         self.numbers.until(next);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What a sensor made before its link came is wanted of a run that began after the receiver, whatever the
+    /// sensor's clock shows; of one that began before, only what comes from now on.
+    #[test]
+    fn a_clock_that_is_off_changes_nothing_of_what_is_wanted() {
+        const HOUR: i64 = 3_600_000_000;
+        let now_us = 1_800_000_000_000_000_u64;
+        for ahead_us in [-HOUR, -1, 0, 1, HOUR, -(now_us as i64)] {
+            let on_sensor = |t_us: u64| t_us.saturating_add_signed(ahead_us);
+            for (began_us, missing) in [
+                (now_us - 4_000_000, 245),
+                (now_us - 5_000_000, 245),
+                (now_us - 5_100_000, 0),
+                (now_us - 2 * HOUR as u64, 0),
+            ] {
+                let joined = Joined {
+                    from_start: false,
+                    started_us: now_us - 5_000_000,
+                };
+                let mut sensor = Sensor::default();
+                // Half a millisecond on its way.
+                sensor.note_clock(on_sensor(now_us - 500), now_us);
+                let run = on_sensor(began_us);
+                if run == 0 {
+                    continue;
+                }
+                let first = sensor.run(run, 245, joined).unwrap();
+                first.until(245);
+                assert_eq!(
+                    first.numbers.missing(),
+                    missing,
+                    "{ahead_us} us ahead, begun {began_us}"
+                );
+                let all = Joined {
+                    from_start: true,
+                    ..joined
+                };
+                assert!(sensor.is_whole(run, all));
+            }
+        }
     }
 }

@@ -14,7 +14,7 @@ use super::{Came, Deliver, Delivered, Report, SENSORS_MAX, SensorReport, Shared,
 use crate::key::Name;
 use crate::latency::Latencies;
 use crate::link::Client;
-use crate::message::{RANGES_MAX, Range, Stamp, Wish};
+use crate::message::{RANGES_MAX, Range, Stamp, Wish, now_us};
 
 /// A sensor of which nothing has come for so long is not heard: it says how it fares twice a second.
 const HEARD: Duration = Duration::from_secs(3);
@@ -110,13 +110,14 @@ impl Taking {
                 }
             }
             Came::Status(_, status) => {
+                sensor.note_clock(status.now_us, now_us());
                 if let Some(run) = sensor.run(status.run, status.next, joined) {
                     run.until(status.next);
                 }
                 for (number, range) in status.held {
                     // Of what was there before this receiver, only where it is asked for.
                     let is_known = sensor.runs.contains_key(&number);
-                    if number < status.run && (is_known || joined.is_whole(number)) {
+                    if number < status.run && (is_known || sensor.is_whole(number, joined)) {
                         let from = if joined.from_start { range.from } else { 0 };
                         if let Some(run) = sensor.run(number, from, joined) {
                             run.until(range.to);
@@ -169,6 +170,10 @@ impl Taking {
         };
         let events = parsed.header.events;
         let is_full = self.held_bytes + frame.len() > options.waiting_bytes;
+        // One that was asked for is older than its way is long.
+        if !is_again {
+            sensor.note_clock(stamp.end_us, at_us);
+        }
         let (is_new, is_behind) = match sensor.run(stamp.run, stamp.number, joined) {
             None => (false, false),
             Some(run) => {
