@@ -205,12 +205,11 @@ struct Found {
 /// Every file, once.
 fn files(paths: &[PathBuf]) -> Result<Found> {
     let mut found: Vec<File> = Vec::new();
-    let mut passed_by = BTreeMap::new();
+    let mut passed_by = Vec::new();
     let mut in_folder = |path: PathBuf, is_below: bool| {
-        let pattern = passed_by_pattern(&path);
-        let file = File::in_folder(path, is_below);
-        if let (None, Some(pattern)) = (&file, pattern) {
-            *passed_by.entry(pattern).or_default() += 1;
+        let file = File::in_folder(&path, is_below);
+        if file.is_none() {
+            passed_by.push(path);
         }
         file
     };
@@ -245,9 +244,18 @@ fn files(paths: &[PathBuf]) -> Result<Found> {
             }
         }
     }
+    let mut patterns = BTreeMap::new();
+    for path in passed_by {
+        let is_named = path
+            .canonicalize()
+            .is_ok_and(|path| known.contains_key(&path));
+        if let (false, Some(pattern)) = (is_named, passed_by_pattern(&path)) {
+            *patterns.entry(pattern).or_default() += 1;
+        }
+    }
     Ok(Found {
         files: once,
-        passed_by,
+        passed_by: patterns,
     })
 }
 
@@ -260,11 +268,11 @@ fn passed_by_pattern(path: &Path) -> Option<PathBuf> {
 }
 
 impl File {
-    fn in_folder(path: PathBuf, is_below: bool) -> Option<Self> {
+    fn in_folder(path: &Path, is_below: bool) -> Option<Self> {
         let ending = path.extension()?.to_ascii_lowercase();
         let place = ENDINGS.iter().position(|known| ending == *known)?;
-        (!path.is_dir()).then_some(Self {
-            path,
+        (!path.is_dir()).then(|| Self {
+            path: path.to_owned(),
             rank: place + 1,
             is_below,
         })
@@ -391,7 +399,12 @@ mod tests {
         }
         let (taken, left_out) = folder.read(&[""]).unwrap();
         assert_eq!(taken, ["b", "one", "two/p", "two/q"]);
-        assert_eq!(left_out, []);
+        let patterns: Vec<&str> = left_out
+            .iter()
+            .map(|left_out| left_out.file.as_str())
+            .collect();
+        let pattern = |name: &str| folder.at(name).display().to_string();
+        assert_eq!(patterns, [pattern("*.npz"), pattern("two/*.txt")]);
         // What is named counts, whatever its ending; nothing is read twice.
         let (taken, left_out) = folder
             .read(&["two", "two/q.evt2.raw", "two/notes.txt"])
