@@ -119,6 +119,31 @@ fn every_command_reads_stdin_as_it_reads_a_file() {
         .fails(&["stdin", "byte 0"]);
 }
 
+/// What a name's ending chooses is written, whether the name is that of a file or `--format`'s.
+#[test]
+fn endings_of_one_format_are_written_as_they_are_named() {
+    let folder = Folder::new();
+    folder.write("a.csv", b"t,x,y,p\n5000,1,2,1\n5001,33,3,0\n");
+    for (name, begins) in [
+        ("csv", b"t,x,y,p\n5000,1,2,1\n".as_slice()),
+        // A column below 2 leaves it open which number is the time.
+        ("txt", b"# t x y p\n5000 1 2 1\n"),
+        ("arrow", b"ARROW1\0\0"),
+        ("arrows", b"\xff\xff\xff\xff"),
+    ] {
+        let file = format!("b.{name}");
+        folder.eecvs(&format!("convert a.csv {file}")).ok();
+        assert!(folder.bytes(&file).starts_with(begins), "{file}");
+        folder
+            .eecvs(&format!("convert a.csv plain --format {name}"))
+            .ok();
+        assert!(folder.bytes("plain").starts_with(begins), "{name}");
+        let (outcome, bytes) = piped(&folder, &format!("convert a.csv - --format {name}"), &[]);
+        assert_eq!(outcome.status, Some(0), "{outcome}");
+        assert!(bytes.starts_with(begins), "{name} to stdout");
+    }
+}
+
 #[test]
 fn every_format_that_is_written_is_read_back_through_pipes() {
     let folder = Folder::new();
@@ -149,7 +174,7 @@ fn every_format_that_is_written_is_read_back_through_pipes() {
         let (of_file, read) = folder.events(&format!("c{}", format.endings[0]));
         assert!(read == events, "{name}");
         assert!(
-            of_file == sensor || ["npy", "text"].contains(&name),
+            of_file == sensor || ["npy", "text", "csv"].contains(&name),
             "{name}"
         );
         // Told by an extension alone, which stdin has not; and a database, which is read where it lies.

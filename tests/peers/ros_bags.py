@@ -163,7 +163,7 @@ def read_csv(path):
 def ours(bag, folder):
     """What eecvs reads."""
     out = folder / "out.csv"
-    result = subprocess.run([comparison.eecvs, "convert", bag, out], capture_output=True, text=True)
+    result = subprocess.run([comparison.eecvs, "convert", "--overwrite", bag, out], capture_output=True, text=True)
     if result.returncode:
         print(result.stderr.strip())
         return None
@@ -407,12 +407,12 @@ def writing(folder, source, name, size=None):
         told = json.loads(subprocess.check_output([comparison.eecvs, "info", "--json", source]))
         size = (told["width"], told["height"])
         text = folder / f"{name}.csv"
-        subprocess.run([comparison.eecvs, "convert", source, text], check=True, capture_output=True)
+        subprocess.run([comparison.eecvs, "convert", "--overwrite", source, text], check=True, capture_output=True)
         want = read_csv(text)
     for kind in ("bag", "mcap") + ("db3",) * has_db3(folder):
         bag = folder / f"{name}_{kind}" / f"{name}.{kind}"
         bag.parent.mkdir(exist_ok=True)
-        result = subprocess.run([comparison.eecvs, "convert", source, bag, *sides], capture_output=True, text=True)
+        result = subprocess.run([comparison.eecvs, "convert", "--overwrite", source, bag, *sides], capture_output=True, text=True)
         if result.returncode:
             print(result.stderr.strip())
             check(f"{name}, {kind}", False)

@@ -39,12 +39,14 @@ pub const FORMATS: &[Format] = &[
     npz::NPY_FORMAT,
     mat::FORMAT,
     arrow::FORMAT,
+    arrow::STREAM_FORMAT,
     parquet::FORMAT,
     ros::bag::FORMAT,
     ros::db3::FORMAT,
     ros::mcap::FORMAT,
     nmnist::FORMAT,
     text::FORMAT,
+    text::CSV_FORMAT,
 ];
 
 /// A format of recordings.

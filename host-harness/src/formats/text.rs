@@ -47,7 +47,7 @@ const SAMPLE_LINES: usize = time_unit::SAMPLE_TIMES;
 pub const FORMAT: Format = Format {
     name: "text",
     title: "text t x y p",
-    endings: &[".csv", ".txt"],
+    endings: &[".txt"],
     detect: is_text,
     open: |Opening {
                source,
@@ -60,7 +60,16 @@ pub const FORMAT: Format = Format {
     grows: true,
     streams: true,
     limits: Limits::NONE,
-    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor)?))),
+    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor, ' ')?))),
+};
+
+/// The same with commas and names, which is read as [`FORMAT`].
+pub const CSV_FORMAT: Format = Format {
+    name: "csv",
+    title: "CSV",
+    endings: &[".csv"],
+    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor, ',')?))),
+    ..FORMAT
 };
 
 /// Whether a file may be lines of events: its first line is text without control characters but

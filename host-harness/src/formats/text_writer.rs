@@ -23,20 +23,17 @@ pub struct TextWriter {
 }
 
 impl TextWriter {
-    /// Creates the file.
+    /// Creates the file; `separator` is a comma or a space.
     ///
     /// # Errors
     /// I/O.
-    pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
+    pub(super) fn create(path: &Path, sensor: Sensor, separator: char) -> anyhow::Result<Self> {
         let (file, name) = create_file(path)?;
-        let csv = path
-            .extension()
-            .is_some_and(|extension| extension.eq_ignore_ascii_case("csv"));
         Ok(Self {
             file,
             name,
             sensor,
-            separator: if csv { ',' } else { ' ' },
+            separator,
             events: 0,
         })
     }

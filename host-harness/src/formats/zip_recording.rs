@@ -102,10 +102,11 @@ fn find<'a>(entries: &'a Entries, name: &str, place: Option<&str>) -> anyhow::Re
     });
     let called: Vec<&&Entry> = called.collect();
     let is_text = |entry: &Entry| {
-        text::FORMAT
-            .endings
+        let name = entry.name.to_ascii_lowercase();
+        let mut endings = [text::FORMAT, text::CSV_FORMAT]
             .iter()
-            .any(|ending| entry.name.to_ascii_lowercase().ends_with(ending))
+            .flat_map(|format| format.endings);
+        endings.any(|ending| name.ends_with(ending))
     };
     let binary: Vec<&&Entry> = found.iter().filter(|entry| !is_text(entry)).collect();
     match (called.as_slice(), binary.as_slice()) {

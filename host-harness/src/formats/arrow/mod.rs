@@ -33,7 +33,6 @@ use ruzstd::decoding::StreamingDecoder;
 pub use self::writer::ArrowWriter;
 
 use self::schema::{Codec, Dictionary, Items, Message, RecordBatch, Schema};
-use self::writer::STREAM_ENDING;
 use crate::formats::event_numbers::{Row, SHORT, T, X, Y};
 use crate::formats::following::{self, ANOTHER};
 use crate::formats::format::{Format, Limits, Opening, Start};
@@ -73,7 +72,7 @@ const TEXTS_MAX: u64 = 64 << 20;
 pub const FORMAT: Format = Format {
     name: "arrow",
     title: "Arrow",
-    endings: &[".arrow", ".feather", STREAM_ENDING],
+    endings: &[".arrow", ".feather"],
     detect: is_arrow,
     open: |Opening {
                source,
@@ -86,7 +85,16 @@ pub const FORMAT: Format = Format {
     grows: false,
     streams: false,
     limits: Limits::NONE,
-    create: Some(|path, sensor| Ok(Box::new(ArrowWriter::create(path, sensor)?))),
+    create: Some(|path, sensor| Ok(Box::new(ArrowWriter::create(path, sensor, false)?))),
+};
+
+/// A stream, which is written from front to back and read as [`FORMAT`].
+pub const STREAM_FORMAT: Format = Format {
+    name: "arrows",
+    title: "Arrow stream",
+    endings: &[".arrows"],
+    create: Some(|path, sensor| Ok(Box::new(ArrowWriter::create(path, sensor, true)?))),
+    ..FORMAT
 };
 
 /// A file, or a stream, whose first message has metadata of a believable length.

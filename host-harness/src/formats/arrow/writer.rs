@@ -30,9 +30,6 @@ const COLUMNS: [(&str, i32, bool); 4] = [
     ("p", 8, false),
 ];
 
-/// Ending of files that are streams: without the footer that lists the batches.
-pub const STREAM_ENDING: &str = ".arrows";
-
 /// Writer of Arrow files. It holds a batch, and 24 bytes for every batch written.
 pub struct ArrowWriter {
     file: Output,
@@ -46,13 +43,16 @@ pub struct ArrowWriter {
 }
 
 impl ArrowWriter {
-    /// Creates the file; a stream if its name ends in `.arrows`.
+    /// Creates a file or a stream.
     ///
     /// # Errors
     /// I/O.
-    pub fn create(path: &Path, sensor: Sensor) -> anyhow::Result<Self> {
+    pub(in crate::formats) fn create(
+        path: &Path,
+        sensor: Sensor,
+        is_stream: bool,
+    ) -> anyhow::Result<Self> {
         let file = Output::create(path)?;
-        let is_stream = file.name().to_ascii_lowercase().ends_with(STREAM_ENDING);
         let mut writer = Self {
             file,
             sensor,
