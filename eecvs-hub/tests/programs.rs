@@ -191,10 +191,8 @@ fn every_event_comes_though_the_hub_is_killed() {
     let output = receive.end();
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{told}");
-    assert!(
-        told.contains("the hub does not answer") && told.contains("missing and asked for"),
-        "{told}"
-    );
+    // Whether frames are missing yet when it is back is up to who is back first: `links` has what is asked for again.
+    assert!(told.contains("the hub does not answer"), "{told}");
     let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     for (index, (name, seed)) in [("b", 4), ("hall/a", 3)].into_iter().enumerate() {
         let sensor = &said["sensors"][index];
