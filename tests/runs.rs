@@ -293,6 +293,9 @@ fn clocks_of_real_recordings() {
     for (i, event) in jitter.iter_mut().enumerate() {
         event.t_us -= (i as u64 * 7919) % 4900;
     }
+    // To where a window of the grid begins, and what is a little late belongs to the one before.
+    let far_us = 94_760 + (1000 << 15);
+    let leap = vec![at(94_760, 0), at(far_us, 1), at(far_us - 1, 2)];
     let config = Config {
         mode: hybrid(Coder::Fast),
         ..plain_config(SENSOR, Transform::Dct, 16)
@@ -303,6 +306,7 @@ fn clocks_of_real_recordings() {
         // Forwards it is no further than any gap.
         ("stale amid", stale_amid, 2),
         ("jitter", jitter, 1),
+        ("leap", leap, 1),
     ] {
         let (summary, bytes) = frames(&events, config, Limits::default(), 2, 64);
         assert_eq!((summary.runs, summary.events_late), (runs, 0), "{name}");

@@ -198,7 +198,13 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
                     if window.events() > 0 {
                         window.advance();
                     } else {
-                        window.skip_to(self.oldest_us);
+                        // No further than earlier events may still come, unless it is due for another reason.
+                        let settled_us = self.newest_us.saturating_sub(self.reorder_us);
+                        window.skip_to(if settled_us >= end_us {
+                            self.oldest_us.min(settled_us)
+                        } else {
+                            self.oldest_us
+                        });
                     }
                 }
                 None if self.is_due(self.oldest_us, self.newest_us) => {
