@@ -169,11 +169,11 @@ proptest! {
             prop_assert!(found.len() <= header.pixels.max(header.events) as usize);
             for pixel in &found {
                 prop_assert!(packing.sensor.contains(pixel.x, pixel.y));
-                let mut bytes = [0; eecvs_nostd::packing::PIXEL_BYTES_MAX];
-                let mut writer = eecvs_nostd::bits::BitWriter::new(&mut bytes);
+                let mut bytes = [0; eecvs_nostd::transform::shape::PIXEL_BYTES_MAX];
+                let mut writer = eecvs_nostd::pack::bits_lsb_first::BitWriter::new(&mut bytes);
                 prop_assert!(packing.pack(pixel, &mut 0, &mut writer).is_ok());
                 let len = writer.finish();
-                let mut reader = eecvs_nostd::bits::BitReader::new(&bytes[..len]);
+                let mut reader = eecvs_nostd::pack::bits_lsb_first::BitReader::new(&bytes[..len]);
                 let again = packing.unpack(&mut 0, pixel.events(), &mut reader);
                 prop_assert_eq!(again.as_ref(), Ok(pixel));
             }

@@ -1,7 +1,7 @@
 //! Each stage of the fixed-point core against the f64 oracle, within the stated bounds.
 
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
-use eecvs_nostd::phase::PhaseScale;
+use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, Impulse};
 use eecvs_nostd::{Config, Quantiser, Sensor, Transform};
 use host_harness::bench::oracle_of;

@@ -1,8 +1,8 @@
 //! Streams made to harm a reader: sound checksums, contradicting contents. They are refused,
 //! counted and cost no more than their length; nothing panics.
 
-use eecvs_nostd::bits::BitWriter;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
+use eecvs_nostd::pack::bits_lsb_first::BitWriter;
 use eecvs_nostd::{
     Coded, Descriptor, FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, Quantiser, Regime, Sensor,
     Transform, UnpackError,

@@ -1,8 +1,8 @@
 //! Mode `hybrid`: what comes back is what was asked for, whatever the events, the frames' sizes and
 //! their losses.
 
+use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{self, DenseMemory};
-use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{
     Axis, Coder, Config, Event, Fidelity, Frame, Header, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity,

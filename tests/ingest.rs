@@ -8,8 +8,8 @@ use eecvs_nostd::event_link::{
 };
 use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
+use eecvs_nostd::ingest::from_link::Link;
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Poll, Work};
-use eecvs_nostd::link_source::Link;
 use eecvs_nostd::{
     Config, Encoder, Event, Frame, Mode, Polarity, Push, Scratch, Sensor, Thresholds, Window,
     WindowBuffers, WindowConfig, WindowEncoder,

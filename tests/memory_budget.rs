@@ -2,8 +2,8 @@
 
 use std::mem::size_of;
 
+use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::words;
-use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::{Sensor, Slot, WindowEncoder, bitmap_words, segments};
 use eecvs_usb_class::Outgoing;

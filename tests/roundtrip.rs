@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use eecvs_nostd::bits::{BitReader, BitWriter};
+use eecvs_nostd::pack::bits_lsb_first::{BitReader, BitWriter};
 use eecvs_nostd::{
     Coded, Descriptor, Event, FRAME_BYTES_MAX, Level, OUTPUT_BYTES_MIN, Packing, Polarity,
     Quantiser, Sensor, Transform,
@@ -110,7 +110,7 @@ proptest! {
         let index =
             u32::from(descriptor.y) * u32::from(packing.sensor.width) + u32::from(descriptor.x);
         let next_index = before % (index + 1);
-        let mut bytes = [0; eecvs_nostd::packing::PIXEL_BYTES_MAX];
+        let mut bytes = [0; eecvs_nostd::transform::shape::PIXEL_BYTES_MAX];
         let mut writer = BitWriter::new(&mut bytes);
         let mut next = next_index;
         prop_assert!(packing.pack(&descriptor, &mut next, &mut writer).is_ok());

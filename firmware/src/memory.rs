@@ -9,8 +9,8 @@
 
 use core::mem::ManuallyDrop;
 
+use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
-use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::{Coder, Config, Hybrid, Mode};
 
 /// Memory of all windows in words: memory.x has its budget.

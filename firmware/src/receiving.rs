@@ -9,11 +9,11 @@ use cortex_m::peripheral::SCB;
 use cortex_m::peripheral::scb::SystemHandler;
 use eecvs_nostd::Window;
 use eecvs_nostd::event_link::Setup;
-use eecvs_nostd::ingest::{Exchange, Ingest, Work};
 #[cfg(any(feature = "usb", not(feature = "sensor")))]
-use eecvs_nostd::link_source::Link;
+use eecvs_nostd::ingest::from_link::Link;
 #[cfg(feature = "sensor")]
-use eecvs_nostd::sensor_source::SensorSource;
+use eecvs_nostd::ingest::from_sensor::SensorSource;
+use eecvs_nostd::ingest::{Exchange, Ingest, Work};
 
 use crate::board;
 #[cfg(not(feature = "usb"))]

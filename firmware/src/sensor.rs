@@ -25,7 +25,7 @@ use core::cell::RefCell;
 use cortex_m::peripheral::SCB;
 use critical_section::Mutex;
 use eecvs_nostd::event_link::Setup;
-use eecvs_nostd::sensor_source::{Port, SensorSource};
+use eecvs_nostd::ingest::from_sensor::{Port, SensorSource};
 use heapless::spsc::Queue;
 
 use crate::clock::Stopwatch;

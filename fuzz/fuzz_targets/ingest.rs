@@ -8,8 +8,8 @@ use eecvs_nostd::event_link::{
     BODY_BYTES_MAX, FIELDS_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Setup,
 };
 use eecvs_nostd::fixed_point::{Sum, WideSum};
+use eecvs_nostd::ingest::from_link::Link;
 use eecvs_nostd::ingest::{Exchange, Ingest, Poll, Work};
-use eecvs_nostd::link_source::Link;
 use eecvs_nostd::{
     Config, Filter, Frame, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Quantiser, Scratch, Sensor,
     Thresholds, Window, WindowBuffers, WindowConfig, WindowEncoder,

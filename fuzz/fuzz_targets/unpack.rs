@@ -2,8 +2,8 @@
 //! unpacks packs to the same bits.
 #![no_main]
 
-use eecvs_nostd::bits::{BitReader, BitWriter};
-use eecvs_nostd::packing::PIXEL_BYTES_MAX;
+use eecvs_nostd::pack::bits_lsb_first::{BitReader, BitWriter};
+use eecvs_nostd::transform::shape::PIXEL_BYTES_MAX;
 use eecvs_nostd::{Packing, Quantiser, Sensor, Transform};
 use libfuzzer_sys::fuzz_target;
 

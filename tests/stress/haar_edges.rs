@@ -2,7 +2,7 @@
 
 use eecvs_nostd::fixed_point::CHUNK_EVENTS;
 use eecvs_nostd::kernel::{Accumulate, Haar};
-use eecvs_nostd::phase::PhaseScale;
+use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Dwt, GRID_MAX, Impulse};
 use host_harness::bench::kernel::Number;
 use host_harness::reference::dwt;

@@ -37,8 +37,8 @@ pub trait Content {
     #[cfg(eecvs_dsp)]
     fn with_parts(
         &mut self,
-        _walk: impl super::dense_dsp::Walks,
-    ) -> Option<super::dense_dsp::Walked> {
+        _walk: impl super::dense::armv7em::Walks,
+    ) -> Option<super::dense::armv7em::Walked> {
         None
     }
     /// An event of the pixels coded so far; `None` for [`END`].

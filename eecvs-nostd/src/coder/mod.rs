@@ -4,34 +4,22 @@
 //! group -> cells -> fast or dense -> frame
 //! ```
 
-pub mod big_bits;
+pub mod arrival_order;
+pub mod bits_msb_first;
 pub mod cells;
-pub mod chain;
 #[cfg_attr(not(feature = "coefficients"), allow(dead_code))]
 pub mod coefficients;
 pub mod content;
 pub mod dense;
-#[cfg(eecvs_dsp)]
-pub(crate) mod dense_dsp;
-mod dense_times;
-#[cfg(eecvs_dsp)]
-mod dense_times_dsp;
-#[cfg(eecvs_dsp)]
-mod dense_walk_dsp;
-#[cfg(eecvs_dsp)]
-mod dense_walk_state_dsp;
 pub mod fast;
-pub mod model;
-mod neighbourhood;
-pub mod order;
+pub mod key_frames;
 pub mod range;
-#[cfg(eecvs_dsp)]
-mod range_dsp;
 pub mod scan;
 pub mod symbols;
-#[cfg(eecvs_dsp)]
-mod symbols_dsp;
 pub mod times;
+#[cfg(feature = "coefficients")]
+pub(crate) mod window_coefficients;
+pub(crate) mod window_events;
 
 pub use cells::{Cells, Fidelity};
 pub use scan::{Axis, Readout, Scans};

@@ -4,7 +4,7 @@ use heapless::Vec;
 
 use super::packet::{BODY_BYTES_MAX, CRC_BYTES, HEAD_BYTES, Kind, PACKET_BYTES_MAX, Packet, SYNC};
 use crate::checksum::CRC_16;
-use crate::link::next_sync;
+use crate::frame::stream::next_sync;
 
 /// Finds packets in received bytes, which may be damaged.
 #[derive(Debug, Clone)]

@@ -6,14 +6,14 @@ use serde::{Deserialize, Serialize};
 
 use super::{Refusal, TooLong, parse_body, write_body};
 use crate::coder::{Axis, Readout};
-use crate::config::Config;
+use crate::encoder::config::Config;
 use crate::event::Sensor;
-use crate::filter::{Filter, Region};
 use crate::frame::Mode;
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
 use crate::transform::Transform;
 use crate::window::WindowConfig;
+use crate::window::filter::{Filter, Region};
 
 /// What the encoder is set to by a [`super::Kind::Setup`] packet; postcard writes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

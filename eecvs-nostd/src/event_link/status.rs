@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{TooLong, parse_body, write_body};
-use crate::config::{ConfigError, HotError};
+use crate::encoder::config::{ConfigError, HotError};
 
 /// Why an encoder refuses a setup, or hot pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]

@@ -31,7 +31,7 @@ mod with_kernel;
 
 use crate::fixed_point::Phase;
 use crate::group::Impulses;
-use crate::phase::PhaseScale;
+use crate::transform::phase::PhaseScale;
 use crate::transform::{Basis, Impulse, Transform};
 
 #[cfg(feature = "float")]

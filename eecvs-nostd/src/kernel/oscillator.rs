@@ -5,10 +5,10 @@
 //! Error of an atom for any a and k < 1,024: 32^2 / 2 roundings of 2^-29 at the most (2^-20); 32
 //! times the seeds' error (2^-22: next to whole and half turns, where it counts k^2 times, the sine
 //! that the polynomial's error comes with vanishes); 2^-18 of the scale below; the sum's floor of
-//! 2^-25; and what k times the phase's error makes ([`crate::phase`]). Measured with all of it: see
+//! 2^-25; and what k times the phase's error makes ([`crate::transform::phase`]). Measured with all of it: see
 //! [`super::Recurrence`].
 
-use crate::atom::{cos, cos_sin};
+use crate::accumulate::cosine::{cos, cos_sin};
 use crate::fixed_point::{Atom, CHUNK_EVENTS, Phase, Sum, mul_high_add, mul_high_round};
 use crate::transform::Impulse;
 

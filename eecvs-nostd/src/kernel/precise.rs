@@ -1,4 +1,4 @@
-//! Atoms of [`crate::atom`] at phases of 64 bits, each on its own.
+//! Atoms of [`crate::accumulate::cosine`] at phases of 64 bits, each on its own.
 //!
 //! A recurrence would need more than 30 fractional bits, and products of three instructions, to stay
 //! within the bound; here no error grows with k.
@@ -6,7 +6,7 @@
 use fixed::types::I34F30;
 
 use super::{Accumulate, Impulse, Kernel, PhaseScale, zeroed, zeroed_pairs};
-use crate::atom::{cos, cos_sin};
+use crate::accumulate::cosine::{cos, cos_sin};
 use crate::fixed_point::{Atom, CHUNK_EVENTS, Phase};
 use crate::transform::{Dct, Dtft};
 
@@ -15,7 +15,7 @@ pub type PreciseSum = I34F30;
 
 /// The high-precision kernel.
 ///
-/// Error of an atom at the most: 2^-27 of [`crate::atom`], and 2^-30.3 of the phase, which has 64
+/// Error of an atom at the most: 2^-27 of [`crate::accumulate::cosine`], and 2^-30.3 of the phase, which has 64
 /// bits until k times it is rounded to 32. Measured for K = 1,024, |c_k - c_ref| per event: DCT
 /// 2^-27.2, DTFT 2^-27.1; `tests/kernels.rs` enforces 2^-26.
 #[derive(Debug, Clone, Copy)]

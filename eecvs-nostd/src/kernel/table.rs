@@ -5,9 +5,9 @@ use crate::fixed_point::Sum;
 use crate::group::Impulses;
 use crate::transform::{Basis, Dct, Dtft};
 
-/// The atoms of [`crate::transform::rows`] for the DCT of K up to 8, of
-/// [`crate::transform::fine_rows`] for K up to 16, of [`crate::transform::turn_rows`] for the DTFT of
-/// K = 16, and those of [`crate::transform::wave`] otherwise.
+/// The atoms of [`crate::accumulate::dct8`] for the DCT of K up to 8, of
+/// [`crate::accumulate::dct16`] for K up to 16, of [`crate::accumulate::dtft16`] for the DTFT of
+/// K = 16, and those of [`crate::accumulate::any_grid`] otherwise.
 ///
 /// Measured for K = 1,024, |c_k - c_ref| per event: DCT 2^-15.0, DTFT 2^-14.9; `tests/kernels.rs`
 /// enforces 2^-14, and `tests/fixed_vs_float.rs` 2^-15 for each part.

@@ -4,9 +4,9 @@ use core::marker::PhantomData;
 
 use super::{Accumulate, PhaseScale, PreciseSum};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, FRACTION_BITS, Sum, WideSum};
-use crate::packing::Shape;
 use crate::prune::Kept;
 use crate::quantise::Levels;
+use crate::transform::shape::Shape;
 use crate::transform::{Basis, GRID_MAX, Impulse, Rule, Transform};
 
 /// The transform `B` with the accumulate stage of the kernel `A`; all other stages are those of `B`.

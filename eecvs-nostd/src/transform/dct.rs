@@ -2,22 +2,21 @@
 
 use core::f64::consts::PI;
 
-use super::{Basis, Impulse, Rule, Transform, cell_of, cells_log2_of, fine_rows, rows, wave};
+use crate::accumulate::{any_grid, dct8, dct16};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
 #[cfg(eecvs_dsp)]
 use crate::group::Impulses;
-use crate::packing::Shape;
-use crate::phase::PhaseScale;
 use crate::prune::{Kept, low_frequency};
 use crate::quantise::Levels;
-#[cfg(eecvs_dsp)]
-use crate::rows_dsp;
+use crate::transform::phase::PhaseScale;
+use crate::transform::shape::Shape;
+use crate::transform::{Basis, Impulse, Rule, Transform, cell_of, cells_log2_of};
 
 /// The cosine transform (eq. 6 with phi_k(u) = cos(pi k u)), for dense windows.
 ///
 /// `[Impulse; n] -> [Sum; K]`, |c_k| < n. Measured error against f64, per event: at most 2^-15.0
 /// for K = 1,024 (`tests/fixed_vs_float.rs` enforces 2^-14.9, and n * 2^-14 for n events); for K up
-/// to 8, where [`rows`] has the atoms, 2^-14.28, and up to 16, where [`fine_rows`] has them, 2^-14.21,
+/// to 8, where [`dct8`] has the atoms, 2^-14.28, and up to 16, where [`dct16`] has them, 2^-14.21,
 /// of which these enforce 2^-14.2.
 #[derive(Debug, Clone, Copy)]
 pub struct Dct;
@@ -35,18 +34,18 @@ impl Basis for Dct {
     ) {
         // Half a turn of the cosine is one window.
         let turn = |impulse: Impulse| scale.half(impulse.offset_us);
-        if grid <= rows::GRID {
-            let cosines = rows::cosines(impulses.take(CHUNK_EVENTS), turn);
+        if grid <= dct8::GRID {
+            let cosines = dct8::cosines(impulses.take(CHUNK_EVENTS), turn);
             return set(sums, grid, cosines);
         }
-        if grid <= fine_rows::GRID {
-            let cosines = fine_rows::cosines(impulses.take(CHUNK_EVENTS), turn);
+        if grid <= dct16::GRID {
+            let cosines = dct16::cosines(impulses.take(CHUNK_EVENTS), turn);
             return set(sums, grid, cosines);
         }
         let Some(sums) = sums.get_mut(..grid) else {
             return;
         };
-        wave::cosines(impulses, turn, sums);
+        any_grid::cosines(impulses, turn, sums);
     }
 
     #[cfg(eecvs_dsp)]
@@ -57,17 +56,17 @@ impl Basis for Dct {
         grid: usize,
         sums: &mut [Sum],
     ) -> Option<Impulses<'s>> {
-        if grid == rows::GRID
+        if grid == dct8::GRID
             && let Some((_, sums)) = sums.split_first_mut()
             && let Some(sums) = sums.first_chunk_mut()
         {
-            return Some(rows_dsp::seven(impulses, scale, sums));
+            return Some(dct8::armv7em::seven(impulses, scale, sums));
         }
-        if grid > rows::GRID
-            && grid <= fine_rows::GRID
+        if grid > dct8::GRID
+            && grid <= dct16::GRID
             && let Some(sums) = sums.first_chunk_mut()
         {
-            return Some(rows_dsp::fifteen(impulses, scale, sums));
+            return Some(dct8::armv7em::fifteen(impulses, scale, sums));
         }
         accumulate_apart(impulses, scale, grid, sums);
         None

@@ -2,16 +2,15 @@
 
 use core::f64::consts::TAU;
 
-use super::{Basis, Impulse, Rule, Transform, cell_of, cells_log2_of, turn_rows, wave};
+use crate::accumulate::{any_grid, dtft16};
 use crate::fixed_point::{Coefficient, Phase, Sum, mul_high};
 #[cfg(eecvs_dsp)]
 use crate::group::Impulses;
-use crate::packing::Shape;
-use crate::phase::PhaseScale;
 use crate::prune::{Kept, largest, low_frequency};
 use crate::quantise::Levels;
-#[cfg(eecvs_dsp)]
-use crate::turn_rows_dsp;
+use crate::transform::phase::PhaseScale;
+use crate::transform::shape::Shape;
+use crate::transform::{Basis, Impulse, Rule, Transform, cell_of, cells_log2_of};
 
 /// The Fourier transform of the impulse train (eq. 6 with phi_k(u) = exp(-i 2 pi k u)), for
 /// moderate windows.
@@ -19,7 +18,7 @@ use crate::turn_rows_dsp;
 /// `[Impulse; n] -> [Sum; 2K]`, K pairs of real and imaginary part, each of magnitude < n;
 /// s(t) is real, so negative k are conjugates. Measured error of each part against f64, per event:
 /// at most 2^-15.0 for K = 1,024 (`tests/fixed_vs_float.rs` enforces 2^-14.9, and n * 2^-14 for n
-/// events); for K = 16, where [`turn_rows`] has the atoms, 2^-14.18, of which it enforces 2^-14.15.
+/// events); for K = 16, where [`dtft16`] has the atoms, 2^-14.18, of which it enforces 2^-14.15.
 #[derive(Debug, Clone, Copy)]
 pub struct Dtft;
 
@@ -40,10 +39,10 @@ impl Basis for Dtft {
             return;
         };
         if let Ok(pairs) = pairs.try_into() {
-            return turn_rows::exponentials(impulses, half, pairs);
+            return dtft16::exponentials(impulses, half, pairs);
         }
         let turn = |impulse| Phase::from_bits(half(impulse).to_bits() << 1);
-        wave::exponentials(impulses, turn, pairs);
+        any_grid::exponentials(impulses, turn, pairs);
     }
 
     #[cfg(eecvs_dsp)]
@@ -54,10 +53,10 @@ impl Basis for Dtft {
         grid: usize,
         sums: &mut [Sum],
     ) -> Option<Impulses<'s>> {
-        if grid == turn_rows::GRID
+        if grid == dtft16::GRID
             && let Some(pairs) = sums.as_chunks_mut::<2>().0.first_chunk_mut()
         {
-            return Some(turn_rows_dsp::exponentials(impulses, scale, pairs));
+            return Some(dtft16::armv7em::exponentials(impulses, scale, pairs));
         }
         accumulate_apart(impulses, scale, grid, sums);
         None
@@ -160,7 +159,7 @@ mod tests {
         kept.words(shape.grid)[0]
     }
 
-    /// The k whose floor(512 d), with d as [`crate::prune_dsp`] rounds it, is `value` or more.
+    /// The k whose floor(512 d), with d as [`crate::prune::armv7em`] rounds it, is `value` or more.
     fn reach(events: [Impulse; 2], shape: Shape, value: u32) -> u32 {
         let scale = PhaseScale::new(WINDOW_US);
         let [a, b] = events.map(|event| scale.half(event.offset_us).to_bits() << 1);

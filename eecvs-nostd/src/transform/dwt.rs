@@ -2,13 +2,14 @@
 
 use core::cell::Cell;
 
-use super::lanes::Lanes;
-use super::{Basis, Impulse, Rule, Transform, lanes};
+use crate::accumulate::haar_bytes;
+use crate::accumulate::haar_bytes::Lanes;
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
-use crate::packing::Shape;
-use crate::phase::PhaseScale;
 use crate::prune::{Kept, largest};
 use crate::quantise::Levels;
+use crate::transform::phase::PhaseScale;
+use crate::transform::shape::Shape;
+use crate::transform::{Basis, Impulse, Rule, Transform};
 
 /// The Haar wavelet transform (eq. 6), for sparse windows; h is +1 on [0, 1/2), -1 on [1/2, 1).
 ///
@@ -43,11 +44,11 @@ impl Basis for Dwt {
         debug_assert!(grid.is_power_of_two());
         let bins_log2 = grid.trailing_zeros();
         // Where few pixels come this way, an image has the histogram alone.
-        if grid <= lanes::GRID && !cfg!(eecvs_dsp) {
-            if grid <= lanes::GRID / 2 {
-                widen(lanes::sum::<4>(impulses, scale, bins_log2), grid, sums);
+        if grid <= haar_bytes::GRID && !cfg!(eecvs_dsp) {
+            if grid <= haar_bytes::GRID / 2 {
+                widen(haar_bytes::sum::<4>(impulses, scale, bins_log2), grid, sums);
             } else {
-                widen(lanes::sum::<8>(impulses, scale, bins_log2), grid, sums);
+                widen(haar_bytes::sum::<8>(impulses, scale, bins_log2), grid, sums);
             }
             return;
         }

@@ -6,18 +6,15 @@
 pub mod dct;
 pub mod dtft;
 pub mod dwt;
-pub mod fine_rows;
-pub(crate) mod lanes;
-pub mod rows;
-pub mod turn_rows;
-pub mod wave;
+pub mod phase;
+pub mod shape;
 
 use crate::fixed_point::{Coefficient, Sum};
 use crate::group::Impulses;
-use crate::packing::Shape;
-use crate::phase::PhaseScale;
 use crate::prune::Kept;
 use crate::quantise::{Levels, Quantiser};
+use crate::transform::phase::PhaseScale;
+use crate::transform::shape::Shape;
 
 pub use dct::Dct;
 pub use dtft::Dtft;

@@ -12,24 +12,22 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use critical_section::Mutex;
 use eecvs_firmware as _;
+#[cfg(not(feature = "microbit"))]
+use eecvs_nostd::Slot;
 use eecvs_nostd::coder::dense::DenseMemory;
 #[cfg(not(feature = "microbit"))]
-use eecvs_nostd::coder::dense::words;
+use eecvs_nostd::coder::dense::model::Model;
 #[cfg(not(feature = "microbit"))]
-use eecvs_nostd::coder::model::Model;
+use eecvs_nostd::coder::dense::words;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
+use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
+use eecvs_nostd::group::lists::Lists;
+use eecvs_nostd::transform::phase::PhaseScale;
+use eecvs_nostd::transform::{Basis, Dct, Dtft, Impulse};
 use eecvs_nostd::{
     Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN,
     Polarity, Push, Quantiser, Sensor, Stage, Storage, Thresholds, Trace, Transform, WindowConfig,
     bitmap_words, segments,
-};
-#[cfg(not(feature = "microbit"))]
-use eecvs_nostd::{
-    Slot,
-    fixed_point::{CHUNK_EVENTS, Sum},
-    lists::Lists,
-    phase::PhaseScale,
-    transform::{Basis, Dct, Dtft, Impulse},
 };
 
 /// A golden vector: `tests/golden.rs` describes it.

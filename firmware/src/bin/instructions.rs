@@ -19,8 +19,8 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::debug::{self, EXIT_FAILURE, EXIT_SUCCESS};
 use cortex_m_semihosting::hprintln;
 use eecvs_firmware as _;
+use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{self, DenseMemory};
-use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::evt2::Evt2Decoder;
 use eecvs_nostd::{
     Coder, Config, Encoder, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN,

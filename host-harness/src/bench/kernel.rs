@@ -6,7 +6,7 @@ use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
 use eecvs_nostd::kernel::{
     Accumulate, Haar, Kernel, Libm, Micromath, Precise, PreciseSum, Recurrence, Table,
 };
-use eecvs_nostd::phase::PhaseScale;
+use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, Impulse, Transform};
 use num_complex::Complex64;
 

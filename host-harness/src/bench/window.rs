@@ -3,8 +3,8 @@
 use std::num::NonZeroU32;
 
 use anyhow::{Context, Result};
-use eecvs_nostd::phase::PhaseScale;
 use eecvs_nostd::transform::Impulse;
+use eecvs_nostd::transform::phase::PhaseScale;
 
 use super::cut::Cut;
 use crate::reference;

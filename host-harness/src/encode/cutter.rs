@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use eecvs_nostd::reorder::{EMPTY, Reorder};
+use eecvs_nostd::ingest::reorder::{EMPTY, Reorder};
 use eecvs_nostd::{Event, NextStart, Window};
 
 use crate::formats::{EventReader, Pause};

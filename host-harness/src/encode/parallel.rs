@@ -28,7 +28,7 @@ use std::thread::{Builder, scope};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
-use eecvs_nostd::coder::chain::Chain;
+use eecvs_nostd::coder::key_frames::Chain;
 use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{Encoded, Event, Header, Window, WindowEncoder};
 

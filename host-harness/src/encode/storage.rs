@@ -3,11 +3,11 @@
 use std::num::NonZeroU32;
 
 use anyhow::{Context, Result, bail, ensure};
-use eecvs_nostd::arrival;
+use eecvs_nostd::coder::arrival_order as arrival;
 use eecvs_nostd::coder::coefficients::CoefficientMemory;
+use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
-use eecvs_nostd::coder::model::Model;
-use eecvs_nostd::config::ConfigError;
+use eecvs_nostd::encoder::config::ConfigError;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::transform::GRID_MAX;
 use eecvs_nostd::window::Head;

@@ -1,6 +1,6 @@
 //! The order in which events of equal time came, put back.
 
-use eecvs_nostd::coder::order::{Group, Learned, place};
+use eecvs_nostd::coder::arrival_order::place::{Group, Learned, place};
 use eecvs_nostd::coder::range::{Binary, RangeDecoder};
 use eecvs_nostd::{Axis, Event, Frame, Header};
 

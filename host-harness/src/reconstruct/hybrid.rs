@@ -1,11 +1,11 @@
 //! Events of hybrid frames.
 
 use anyhow::{Context, Result};
-use eecvs_nostd::coder::big_bits::BigReader;
+use eecvs_nostd::coder::bits_msb_first::BigReader;
 use eecvs_nostd::coder::content::{Content, END, Node};
+use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{Dense, DenseMemory, words};
 use eecvs_nostd::coder::fast::Fast;
-use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::coder::range::RangeDecoder;
 use eecvs_nostd::{
     Coder, Config, Event, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push, Sensor,

@@ -8,7 +8,7 @@
 use std::collections::HashSet;
 
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
-use eecvs_nostd::phase::PhaseScale;
+use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Impulse};
 use eecvs_nostd::{Header, Transform};
 

@@ -402,7 +402,7 @@ mod tests {
                 duration_us - 2,
                 duration_us - 1,
             ] {
-                let scale = eecvs_nostd::phase::PhaseScale::new(duration_us);
+                let scale = eecvs_nostd::transform::phase::PhaseScale::new(duration_us);
                 let cell = scale.half(offset_us).to_bits() >> (31 - cells_log2);
                 let sent = Pixel {
                     single_u: Some((f64::from(cell) + 0.5) / f64::from(cells)),

@@ -1,7 +1,7 @@
 //! A pixel as the encoder sends it, for tests.
 
 use eecvs_nostd::fixed_point::Sum;
-use eecvs_nostd::phase::PhaseScale;
+use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Impulse};
 use eecvs_nostd::{Header, Level, Quantiser, Transform};
 

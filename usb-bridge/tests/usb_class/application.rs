@@ -2,16 +2,16 @@
 
 use std::collections::VecDeque;
 
+use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
-use eecvs_nostd::coder::model::Model;
 use eecvs_nostd::event_link::{
     FIELDS_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Refusal, Setup, Status,
 };
 use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
+use eecvs_nostd::ingest::from_link::Link;
+use eecvs_nostd::ingest::from_sensor::{Port, SensorSource};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Work};
-use eecvs_nostd::link_source::Link;
-use eecvs_nostd::sensor_source::{Port, SensorSource};
 use eecvs_nostd::{Coder, Event, Hybrid, Mode, Scratch, Window, WindowBuffers, WindowEncoder};
 use eecvs_usb_class::{Outgoing, Sender};
 use heapless::spsc::Queue;

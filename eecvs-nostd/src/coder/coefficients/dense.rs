@@ -6,11 +6,11 @@ use super::pixel::{Common, Pixel};
 use super::prediction::{Foretold, Prediction};
 use super::{CoefficientMemory, tell};
 use crate::coder::content::{Content, END};
+use crate::coder::dense::times::{CodedPixel, Following, Neighbour, Times};
 use crate::coder::dense::{Dense, Step};
-use crate::coder::dense_times::{CodedPixel, Following, Neighbour, Times};
 use crate::coder::range::{Binary, Probability};
-use crate::packing::width_of;
-use crate::unpack::UnpackError;
+use crate::pack::unpack::UnpackError;
+use crate::transform::shape::width_of;
 
 /// Bytes that a pixel takes at the most: K decisions for its set, 63 events of 7 decisions and 31 plain
 /// bits each, and its levels, of 9 decisions and 31 bits; a decision costs 7.4 bits.

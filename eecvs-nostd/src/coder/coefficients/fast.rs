@@ -5,10 +5,10 @@ use super::fields::{self, COARSE, Context, Fields, SetShape};
 use super::pixel::{Common, Pixel};
 use super::prediction::Foretold;
 use super::{CoefficientMemory, tell};
-use crate::bits::{BitReader, BitWriter};
-use crate::packing::width_of;
+use crate::pack::bits_lsb_first::{BitReader, BitWriter};
+use crate::pack::unpack::UnpackError;
 use crate::transform::GRID_MAX;
-use crate::unpack::UnpackError;
+use crate::transform::shape::width_of;
 
 /// A mean counts this many numbers, as a power of two.
 const MEAN_LOG2: u32 = 4;

@@ -1,7 +1,7 @@
 //! What a pixel is told in, and how its codes are told apart.
 
 use super::prediction::Foretold;
-use crate::packing::width_of;
+use crate::transform::shape::width_of;
 
 /// What a number is learned by: few contexts where there is little to learn from, many where there is
 /// much.

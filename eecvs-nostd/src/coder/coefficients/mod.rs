@@ -4,7 +4,7 @@
 //! group -> accumulate -> prune -> quantise -> fast or dense -> frame
 //! ```
 //!
-//! The levels are those of the plain payload ([`crate::pack`]), to the bit. The levels of a pixel of few
+//! The levels are those of the plain payload ([`crate::pack::packer`]), to the bit. The levels of a pixel of few
 //! events are not independent: its events' times tell all of them. Such a pixel is told by the cells of
 //! its events, and by what its levels differ from those of events in
 //! the middle of their cells; both sides compute these with the same kernel. Where all events lie in
@@ -21,10 +21,10 @@ use fields::{Fields, SetShape};
 use pixel::{Common, Pixel};
 use prediction::Prediction;
 
-use crate::packing::width_of;
+use crate::pack::unpack::UnpackError;
 use crate::prune::low_frequency;
+use crate::transform::shape::width_of;
 use crate::transform::{Rule, Transform};
-use crate::unpack::UnpackError;
 
 /// Memory of the adaptive coders of coefficients.
 #[derive(Debug, Clone)]

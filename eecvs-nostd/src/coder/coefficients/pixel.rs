@@ -3,13 +3,13 @@
 use heapless::Vec;
 
 use crate::coder::cells::{Cells, Fidelity};
-use crate::descriptor::{Coded, Descriptor};
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::group;
-use crate::packing::{Packing, Shape, width_of};
-use crate::phase::PhaseScale;
+use crate::pack::descriptor::{Coded, Descriptor};
 use crate::prune::Kept;
 use crate::quantise::Level;
+use crate::transform::phase::PhaseScale;
+use crate::transform::shape::{Packing, Shape, width_of};
 use crate::transform::{M_MAX, Transform};
 
 /// Largest K of pixels that are told by their events: what a decoder computes for one stays within

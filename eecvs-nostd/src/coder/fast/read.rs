@@ -5,7 +5,7 @@
 //! again step by step.
 
 use super::{Fast, Malformed, TERM_PIXELS};
-use crate::coder::big_bits::{AHEAD_BITS, BigReader};
+use crate::coder::bits_msb_first::{AHEAD_BITS, BigReader};
 
 /// Of places, all below 2^22, 2^-40 each is less than a column's share of a row, 2^-11 or more.
 const ROW_SHIFT: u32 = 40;

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use eecvs_nostd::bits::exp_golomb;
+use eecvs_nostd::pack::bits_lsb_first::exp_golomb;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt};
 use eecvs_nostd::window::SEGMENT_PIXELS;
 use eecvs_nostd::{

@@ -1,0 +1,162 @@
+//! Words one by one.
+
+use super::{ONES, Row, SIGNS, THRESHOLD_OF_WORD, WORDS, thresholds};
+
+/// D_k of K = 4 W, k at byte k.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Lanes<const W: usize>([u32; W]);
+
+/// A 1 in some lanes of [`Lanes`].
+#[derive(Debug, Clone, Copy)]
+pub struct Flags<const W: usize>([u32; W]);
+
+impl<const W: usize> Flags<W> {
+    /// How many.
+    #[inline(always)]
+    pub fn count(self) -> u32 {
+        let all: u32 = self.0.iter().sum();
+        all.wrapping_mul(ONES) >> 24
+    }
+
+    /// A bit each.
+    #[inline(always)]
+    pub fn bits(self) -> u32 {
+        let words = self.0.iter().rev();
+        words.fold(0, |bits, word| (bits << 4) | gather(*word))
+    }
+}
+
+#[cfg(eecvs_dsp)]
+use super::armv7em::{nonzero, reach};
+
+/// A 1 in the lanes that are `threshold` or above; all of both are below 128.
+#[cfg(not(eecvs_dsp))]
+#[inline(always)]
+const fn reach(word: u32, threshold: u32) -> u32 {
+    ((word | SIGNS).wrapping_sub(threshold) & SIGNS) >> 7
+}
+
+/// A 1 in the lanes that are not 0.
+#[cfg(not(eecvs_dsp))]
+#[inline(always)]
+const fn nonzero(word: u32) -> u32 {
+    ((((word & !SIGNS) + !SIGNS) | word) & SIGNS) >> 7
+}
+
+/// All bits of the lanes whose sign is set in `signs`, which has no others.
+#[inline(always)]
+const fn spread_signs(signs: u32) -> u32 {
+    (signs >> 7) * 0xff
+}
+
+/// Lanes of 0 and 1 as a bit each.
+#[inline(always)]
+const fn gather(ones: u32) -> u32 {
+    ones.wrapping_mul(0x1020_4080) >> 28
+}
+
+impl<const W: usize> Lanes<W> {
+    #[inline(always)]
+    pub const fn zero() -> Self {
+        Self([0; W])
+    }
+
+    /// Adds the row where `negative` is 0, subtracts it where that is all ones.
+    #[inline(always)]
+    pub fn add(&mut self, row: &Row, negative: u32) {
+        for (sum, word) in self.0.iter_mut().zip(row) {
+            *sum = sum.wrapping_add((word ^ negative).wrapping_sub(negative));
+        }
+    }
+
+    /// From sums of rows to bytes in two's complement.
+    #[inline(always)]
+    pub fn bytes(self) -> Self {
+        Self(self.0.map(|word| word.wrapping_add(SIGNS) ^ SIGNS))
+    }
+
+    /// The lanes that are not 0.
+    #[inline(always)]
+    pub fn nonzero(self) -> Flags<W> {
+        Flags(self.0.map(nonzero))
+    }
+
+    /// |D_k|
+    #[inline(always)]
+    pub fn magnitudes(self) -> Self {
+        Self(self.0.map(|word| {
+            let signs = word & SIGNS;
+            (word ^ spread_signs(signs)) + (signs >> 7)
+        }))
+    }
+
+    /// The lanes of magnitudes that reach `a`.
+    #[inline(always)]
+    pub fn reach(self, a: u32) -> Flags<W> {
+        let thresholds = thresholds(a);
+        let mut words = self.0;
+        for (i, word) in words.iter_mut().enumerate() {
+            *word = reach(*word, thresholds[THRESHOLD_OF_WORD[i % WORDS]]);
+        }
+        Flags(words)
+    }
+
+    /// Clears the lanes that are not in `kept`.
+    #[inline(always)]
+    pub fn keep(self, kept: u32) -> Self {
+        let mut words = self.0;
+        for (i, word) in words.iter_mut().enumerate() {
+            let kept = (kept >> (4 * (i % WORDS))) & 0xf;
+            *word &= (kept.wrapping_mul(0x0020_4081) & ONES) * 0xff;
+        }
+        Self(words)
+    }
+
+    /// The levels: positive ones move down by one.
+    #[inline(always)]
+    pub fn levels(self) -> Self {
+        Self(self.0.map(|word| {
+            let positive = ((word & !SIGNS) + !SIGNS) & !word & SIGNS;
+            word - (positive >> 7)
+        }))
+    }
+
+    /// The bits that are not copies of the sign, of any lane but that of c_0.
+    #[inline(always)]
+    pub fn spread(self) -> u32 {
+        let mut spread = 0;
+        for (i, word) in self.0.into_iter().enumerate() {
+            let folded = word ^ spread_signs(word & SIGNS);
+            spread |= if i == 0 { folded & !0xff } else { folded };
+        }
+        spread |= spread >> 16;
+        (spread | (spread >> 8)) & 0xff
+    }
+
+    /// From sums of rows that began from half of a lane's range.
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    pub fn of_biased(words: [u32; W]) -> Self {
+        Self(words.map(|word| word ^ SIGNS))
+    }
+
+    /// From words of bytes.
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    pub const fn new(words: [u32; W]) -> Self {
+        Self(words)
+    }
+
+    /// The words of bytes.
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    pub const fn into_words(self) -> [u32; W] {
+        self.0
+    }
+
+    /// Byte k is D_k, or its level.
+    #[inline(always)]
+    pub fn into_bytes(self) -> [[u8; 4]; W] {
+        self.0.map(u32::to_le_bytes)
+    }
+}

@@ -1,0 +1,829 @@
+//! The dense event coder: adaptive contexts from pixels already coded, for the fewest bits.
+//!
+//! A frame's pixels go by in raster order. What is coded of them, each with probabilities learned in
+//! its context ([`super::range`]):
+//!
+//! * which rows, segments of 32 columns and pixels have events, from the pixels around, those of the
+//!   window before among them; columns without neighbours go by in runs (`neighbourhood`);
+//! * the polarity of a pixel's first event, and its events' times and further polarities
+//!   (`times`).
+//!
+//! One function codes both ways. Time per event is bounded; memory is what was lent.
+
+#[cfg(eecvs_dsp)]
+pub(crate) mod armv7em;
+pub mod model;
+mod neighbourhood;
+pub(crate) mod times;
+
+use super::content::Content;
+use super::range::Binary;
+use super::times::Times;
+#[cfg(eecvs_dsp)]
+use crate::coder::dense::armv7em::state::Walk;
+use crate::coder::dense::model::Model;
+use crate::coder::dense::neighbourhood::Around;
+pub(crate) use crate::coder::dense::times::EVENT_BYTES_MAX;
+use crate::coder::dense::times::{Clock, CodedPixel, Following, Neighbour, Times as LearnedTimes};
+use crate::event::Sensor;
+#[cfg(eecvs_dsp)]
+use core::cell::Cell;
+
+/// Rows of bits that are kept: all with those of the window before, and without them this one, two
+/// above, and one more, so that a row's place is cheap to find.
+pub(super) const fn rows(sensor: Sensor, has_previous: bool) -> usize {
+    let height = sensor.height as usize;
+    if has_previous || height < RING_ROWS {
+        height
+    } else {
+        RING_ROWS
+    }
+}
+
+const RING_ROWS: usize = 4;
+
+/// Which of them a row is.
+#[inline(always)]
+pub(super) const fn row_of(y: usize, has_previous: bool) -> usize {
+    if has_previous { y } else { y % RING_ROWS }
+}
+
+/// Memory lent to a [`Dense`] coder.
+#[derive(Debug)]
+pub struct DenseMemory<'b> {
+    /// What is learned.
+    pub model: &'b mut Model,
+    /// [`words`] of them.
+    pub words: &'b mut [u32],
+}
+
+impl DenseMemory<'_> {
+    /// Whether it is enough for a sensor.
+    #[must_use]
+    pub const fn serves(&self, sensor: Sensor) -> bool {
+        self.words.len() >= words(sensor, false)
+    }
+
+    /// Whether it also holds the window before.
+    #[must_use]
+    pub const fn has_previous(&self, sensor: Sensor) -> bool {
+        self.words.len() >= words(sensor, true)
+    }
+}
+
+/// Words that a sensor takes; without the window before, which costs bits in sparse scenes, far
+/// fewer.
+#[must_use]
+pub const fn words(sensor: Sensor, has_previous: bool) -> usize {
+    let stride = sensor.width.div_ceil(32) as usize;
+    let rows = rows(sensor, has_previous);
+    2 * stride * rows + 2 * stride + 2 * sensor.width as usize
+}
+
+/// What was coded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Coded {
+    /// Events.
+    pub events: u32,
+    /// Pixels with events.
+    pub pixels: u32,
+    /// More was learned than a decoder reads: the next frame has to begin anew.
+    pub overran: bool,
+}
+
+/// The coder's state, which goes on from frame to frame until [`Self::restart`].
+#[derive(Debug)]
+pub struct Dense<'b> {
+    model: &'b mut Model,
+    /// A bit per pixel: of this window up to the pixel at hand, of the one before after it.
+    occupied: &'b mut [u32],
+    /// The same for the polarity of its last event.
+    last_on: &'b mut [u32],
+    /// The polarity of the first event, in this row and the one above.
+    first_on: &'b mut [u32],
+    /// The latest pixel of each column: its events, and the last of them.
+    lists: &'b mut [u32],
+    lasts: &'b mut [u32],
+    sensor: Sensor,
+    stride: usize,
+    has_previous: bool,
+}
+
+impl<'b> Dense<'b> {
+    /// The coder in a memory that was last used for the same sensor, or of which nothing is known:
+    /// then [`Self::restart`] comes first. `None` where it is too small.
+    #[must_use]
+    pub fn new(sensor: Sensor, memory: &'b mut DenseMemory<'_>) -> Option<Self> {
+        let has_previous = memory.has_previous(sensor);
+        Self::with_previous(sensor, has_previous, memory)
+    }
+
+    /// As [`Self::new`], for a decoder, which is told whether the encoder held the window before.
+    #[must_use]
+    pub fn with_previous(
+        sensor: Sensor,
+        has_previous: bool,
+        memory: &'b mut DenseMemory<'_>,
+    ) -> Option<Self> {
+        let DenseMemory { model, words } = memory;
+        let stride = usize::from(sensor.width.div_ceil(32));
+        let rows = rows(sensor, has_previous);
+        let (occupied, rest) = words.split_at_mut_checked(stride * rows)?;
+        let (last_on, rest) = rest.split_at_mut_checked(stride * rows)?;
+        let (first_on, rest) = rest.split_at_mut_checked(2 * stride)?;
+        let (lists, rest) = rest.split_at_mut_checked(usize::from(sensor.width))?;
+        let (lasts, _) = rest.split_at_mut_checked(usize::from(sensor.width))?;
+        Some(Self {
+            model,
+            occupied,
+            last_on,
+            first_on,
+            lists,
+            lasts,
+            sensor,
+            stride,
+            has_previous,
+        })
+    }
+
+    /// Forgets everything: the next frame decodes by itself.
+    pub fn restart(&mut self) {
+        self.model.restart();
+        self.occupied.fill(0);
+        self.last_on.fill(0);
+    }
+
+    /// Codes a frame, whose times are told so, up to the end of its content or of the coder's room.
+    pub fn code<C: Binary, T: Content>(
+        &mut self,
+        coder: &mut C,
+        content: &mut T,
+        times: Times,
+    ) -> Coded {
+        let clock = Clock::new(times.count(), times.fine_bits());
+        self.code_with(coder, content, clock)
+    }
+
+    /// As [`Self::code`], where `step` codes what follows a pixel's place and its polarity.
+    #[inline(always)]
+    pub(super) fn code_with<C: Binary, T: Content, S: Step<T>>(
+        &mut self,
+        coder: &mut C,
+        content: &mut T,
+        #[cfg_attr(not(eecvs_dsp), allow(unused_mut))] mut step: S,
+    ) -> Coded {
+        let mut frame = Frame {
+            #[cfg(eecvs_dsp)]
+            walk: step
+                .clock()
+                .filter(|clock| armv7em::serves(clock))
+                .map(|clock| Walk::new(clock)),
+            step,
+            coded: Coded {
+                events: 0,
+                pixels: 0,
+                overran: false,
+            },
+        };
+        let height = usize::from(self.sensor.height);
+        let mut y = 0;
+        let mut above_is_active = false;
+        while y < height {
+            if content.is_over() {
+                break;
+            }
+            #[cfg(not(eecvs_dsp))]
+            let begun = None;
+            #[cfg(eecvs_dsp)]
+            let mut begun = None;
+            #[cfg(eecvs_dsp)]
+            if frame.walk.is_some()
+                && let Some(walked) = self.walk_rows(
+                    (&mut *coder, &mut *content),
+                    (y, above_is_active),
+                    &mut frame,
+                )
+            {
+                (y, above_is_active) = (walked.y, walked.above_is_active);
+                if y >= height {
+                    break;
+                }
+                begun = walked.begun;
+            }
+            let row = self.row(y);
+            let was_active = self.has_previous
+                && words_at(self.occupied, row, self.stride)
+                    .iter()
+                    .any(|word| *word != 0);
+            let context = usize::from(above_is_active) + 2 * usize::from(was_active);
+            let flag = &mut self.model.rows[context];
+            let is_active = begun.is_some() || coder.bit(flag, content.has_row(y as u16));
+            above_is_active = is_active;
+            if is_active {
+                if !self.code_row(coder, content, y, begun, &mut frame) {
+                    y += 1;
+                    break;
+                }
+            } else if was_active || !self.has_previous {
+                words_at(self.occupied, row, self.stride).fill(0);
+            }
+            y += 1;
+        }
+        // What is below has no events in this frame.
+        if self.has_previous {
+            words_at(self.occupied, y * self.stride, usize::MAX).fill(0);
+        }
+        frame.coded
+    }
+
+    #[inline(always)]
+    fn row(&self, y: usize) -> usize {
+        row_of(y, self.has_previous) * self.stride
+    }
+
+    /// Whether there may be more after this row.
+    #[inline(always)]
+    fn code_row<C: Binary, T: Content, S: Step<T>>(
+        &mut self,
+        coder: &mut C,
+        content: &mut T,
+        y: usize,
+        row_begun: Option<Begun>,
+        frame: &mut Frame<S>,
+    ) -> bool {
+        let stride = self.stride;
+        let row = self.row(y);
+        let rows = self.rows_around(y);
+        let mut following = self.model.times.following(y);
+        let mut segment = 0;
+        let mut goes_on = true;
+        let mut begun = None;
+        if let Some(Begun {
+            segment: at,
+            column,
+            made,
+            goes_on: is_more,
+            following: follows,
+        }) = row_begun
+        {
+            (segment, goes_on, following) = (at, is_more, follows);
+            if goes_on {
+                begun = column.map(|column| (column, made));
+            } else {
+                set(self.occupied, row + segment, made.occupied);
+                set(self.last_on, row + segment, made.last_on);
+                set(self.first_on, rows.first_here + segment, made.first_on);
+                segment += 1;
+            }
+        }
+        let mut around = self.around(&rows, row, segment);
+        while goes_on && segment < stride {
+            let is_begun = begun.is_some();
+            let (from, mut made) = begun.take().unwrap_or_default();
+            if is_begun || {
+                let flag = &mut self.model.segments[around.segment_context()];
+                coder.bit(flag, content.has_segment(segment as u16, y as u16))
+            } {
+                let (place, made) = ((segment, y, following), (from, &mut made));
+                goes_on = self.code_segment(coder, content, place, &around, made, frame);
+            }
+            set(self.occupied, row + segment, made.occupied);
+            set(self.last_on, row + segment, made.last_on);
+            set(self.first_on, rows.first_here + segment, made.first_on);
+            segment += 1;
+            if !goes_on || content.is_over() {
+                goes_on = false;
+                break;
+            }
+            let east = self.east(&rows, segment, true);
+            around.go_on((made.occupied, made.first_on), &east);
+        }
+        words_at(self.occupied, row + segment, stride - segment).fill(0);
+        goes_on
+    }
+
+    /// What is seen at a segment, those before which have been coded.
+    #[cfg_attr(eecvs_dsp, cold)]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    fn around(&self, rows: &Rows, row: usize, segment: usize) -> Around {
+        let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
+        let mut around = Around::default();
+        around.go_on((0, 0), &self.east(rows, 0, false));
+        around.go_on((0, 0), &self.east(rows, 0, true));
+        for before in 0..segment {
+            let made = word(self.occupied, row + before);
+            let made_on = word(self.first_on, rows.first_here + before);
+            around.go_on((made, made_on), &self.east(rows, before + 1, true));
+        }
+        around
+    }
+
+    /// An encoder's rows by [`armv7em`], as far as that goes.
+    #[cfg(eecvs_dsp)]
+    #[inline(never)]
+    fn walk_rows<C: Binary, T: Content, S: Step<T>>(
+        &mut self,
+        (coder, content): (&mut C, &mut T),
+        (y, above_is_active): (usize, bool),
+        frame: &mut Frame<S>,
+    ) -> Option<armv7em::Walked> {
+        let words = armv7em::Words {
+            occupied: Cell::from_mut(&mut *self.occupied).as_slice_of_cells(),
+            last_on: Cell::from_mut(&mut *self.last_on).as_slice_of_cells(),
+            first_on: Cell::from_mut(&mut *self.first_on).as_slice_of_cells(),
+        };
+        let Frame { step, walk, coded } = frame;
+        let walked = content.with_parts(armv7em::RowsWalk {
+            walk: walk.as_mut()?,
+            coder: coder.parts()?,
+            model: &mut *self.model,
+            clock: step.clock()?,
+            lists: &mut *self.lists,
+            lasts: &mut *self.lasts,
+            words,
+            sensor: self.sensor,
+            y,
+            above_is_active,
+            has_previous: self.has_previous,
+        })?;
+        coded.pixels += walked.pixels;
+        coded.events += walked.events;
+        Some(walked)
+    }
+
+    /// Where the rows around one begin.
+    #[inline(always)]
+    fn rows_around(&self, y: usize) -> Rows {
+        let first_here = (y % 2) * self.stride;
+        let above = |rows: usize| {
+            if y >= rows {
+                self.row(y - rows)
+            } else {
+                NO_ROW
+            }
+        };
+        let (here, south) = match self.has_previous {
+            true if y + 1 < usize::from(self.sensor.height) => (self.row(y), self.row(y + 1)),
+            true => (self.row(y), NO_ROW),
+            false => (NO_ROW, NO_ROW),
+        };
+        Rows {
+            here,
+            south,
+            north: above(1),
+            far_north: above(2),
+            first_here,
+            first_north: self.stride - first_here,
+        }
+    }
+
+    /// What comes into view at a segment; or, before the first, at the one to its west.
+    #[inline(always)]
+    fn east(&self, rows: &Rows, segment: usize, is_next: bool) -> Around {
+        let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
+        // Whether there is a segment to the east, and which.
+        let east = segment + usize::from(is_next);
+        let far = |words: &[u32], row: usize| {
+            let word = if east < self.stride {
+                word(words, row.wrapping_add(east))
+            } else {
+                0
+            };
+            [0, 0, word]
+        };
+        let mut around = Around {
+            north: far(self.occupied, rows.north),
+            north_on: far(self.first_on, rows.first_north),
+            far_north: word(self.occupied, rows.far_north.wrapping_add(segment)),
+            ..Around::default()
+        };
+        if self.has_previous {
+            around.old = [0, far(self.occupied, rows.here)[2]];
+            around.south = far(self.occupied, rows.south);
+            around.old_on = word(self.last_on, rows.here.wrapping_add(segment));
+        }
+        around
+    }
+
+    /// Whether there may be more after this segment.
+    #[inline(always)]
+    fn code_segment<C: Binary, T: Content, S: Step<T>>(
+        &mut self,
+        coder: &mut C,
+        content: &mut T,
+        (segment, y, following): (usize, usize, Following),
+        around: &Around,
+        (from, made): (u32, &mut Made),
+        frame: &mut Frame<S>,
+    ) -> bool {
+        let seen = around.columns(self.has_previous);
+        let columns = (usize::from(self.sensor.width) - 32 * segment).min(32) as u32;
+        let told = content.columns();
+        let mut i = from;
+        while i < columns {
+            // One that has events comes at last.
+            let quiet = seen.quiet(made.occupied, i, columns);
+            if quiet > 0 {
+                let run = told >> i & low_mask(quiet);
+                let is_sure = made.occupied == 0 && i + quiet == columns;
+                let flag = &mut self.model.runs[seen.run_context(quiet)];
+                if !is_sure && !coder.bit(flag, run != 0) {
+                    i += quiet;
+                    continue;
+                }
+                i += coder.one_of(run.trailing_zeros(), quiet);
+            } else {
+                let is_sure = made.occupied == 0 && i + 1 == columns;
+                let flag = &mut self.model.pixels[seen.pixel_context(made.occupied, i)];
+                if !is_sure && !coder.bit(flag, told >> i & 1 == 1) {
+                    i += 1;
+                    continue;
+                }
+            }
+            let x = 32 * segment + i as usize;
+            let list = content.enter((x as u16, y as u16));
+            if !coder.has_room(EVENT_BYTES_MAX) {
+                frame.coded.overran = true;
+                return false;
+            }
+            let context = seen.polarity_context(made.occupied, made.first_on, i);
+            let first_on = coder.bit(&mut self.model.polarities[context], content.peek().1);
+            let west = seen
+                .has_west(made.occupied, i)
+                .then(|| self.latest(x.wrapping_sub(1)));
+            let north = seen.has_north(i).then(|| self.latest(x));
+            let neighbours = (
+                west.unwrap_or(Neighbour::NONE),
+                north.unwrap_or(Neighbour::NONE),
+            );
+            let times = &mut self.model.times;
+            let pixel = frame
+                .step
+                .pixel(times, coder, content, first_on, (neighbours, following));
+            frame.coded.pixels += 1;
+            frame.coded.events += pixel.events;
+            set(self.lists, x, list);
+            set(self.lasts, x, pixel.last);
+            made.occupied |= 1 << i;
+            made.first_on |= u32::from(first_on) << i;
+            made.last_on |= (pixel.last & 1) << i;
+            if !pixel.goes_on {
+                return false;
+            }
+            i += 1;
+        }
+        true
+    }
+
+    /// The latest pixel of a column.
+    #[inline(always)]
+    fn latest(&self, x: usize) -> Neighbour {
+        match (self.lists.get(x), self.lasts.get(x)) {
+            (Some(list), Some(last)) => Neighbour {
+                list: *list,
+                last: *last,
+            },
+            _ => Neighbour::NONE,
+        }
+    }
+}
+
+const fn low_mask(bits: u32) -> u32 {
+    if bits < 32 { (1 << bits) - 1 } else { u32::MAX }
+}
+
+#[inline(always)]
+fn set(words: &mut [u32], at: usize, word: u32) {
+    if let Some(place) = words.get_mut(at) {
+        *place = word;
+    }
+}
+
+/// Up to `count` words from `at` on.
+#[inline(always)]
+fn words_at(words: &mut [u32], at: usize, count: usize) -> &mut [u32] {
+    let rest = words.get_mut(at..).unwrap_or_default();
+    let count = rest.len().min(count);
+    rest.get_mut(..count).unwrap_or_default()
+}
+
+/// Where rows begin in their words; [`NO_ROW`] for what is not there.
+struct Rows {
+    here: usize,
+    south: usize,
+    north: usize,
+    far_north: usize,
+    first_here: usize,
+    first_north: usize,
+}
+
+/// Beyond all words, and no segment's number leads from it to any.
+const NO_ROW: usize = usize::MAX / 2;
+
+/// How far a walk in assembly has coded a row that it leaves to the loop here.
+#[cfg_attr(not(eecvs_dsp), allow(dead_code))]
+pub(super) struct Begun {
+    /// Its first segment that was not coded as a whole.
+    pub(super) segment: usize,
+    /// That one's first column that was not visited; `None` where its flag was not coded.
+    pub(super) column: Option<u32>,
+    /// What was made of it.
+    pub(super) made: Made,
+    /// Whether there is more to code; else the window's last event was coded, or the output is full.
+    pub(super) goes_on: bool,
+    /// What it does with its neighbours' times, as was decided at its begin.
+    pub(super) following: Following,
+}
+
+/// What a segment was made of.
+#[derive(Debug, Default)]
+pub(super) struct Made {
+    pub(super) occupied: u32,
+    pub(super) first_on: u32,
+    pub(super) last_on: u32,
+}
+
+/// What goes on from pixel to pixel.
+struct Frame<S> {
+    step: S,
+    coded: Coded,
+    #[cfg(eecvs_dsp)]
+    walk: Option<Walk>,
+}
+
+/// What is coded of a pixel after its place and the polarity that its neighbours foretell.
+pub(super) trait Step<T> {
+    /// Codes it; `around` is what is known of the neighbours to the west and north, and what the row
+    /// does with their times.
+    fn pixel<C: Binary>(
+        &mut self,
+        times: &mut LearnedTimes,
+        coder: &mut C,
+        content: &mut T,
+        on: bool,
+        around: ((Neighbour, Neighbour), Following),
+    ) -> CodedPixel;
+
+    /// The events' clock, where they are all that it codes: an encoder's walk in assembly may do so too.
+    #[cfg(eecvs_dsp)]
+    fn clock(&mut self) -> Option<&mut Clock> {
+        None
+    }
+}
+
+/// Events.
+impl<T: Content> Step<T> for Clock {
+    #[inline(always)]
+    fn pixel<C: Binary>(
+        &mut self,
+        times: &mut LearnedTimes,
+        coder: &mut C,
+        content: &mut T,
+        on: bool,
+        around: ((Neighbour, Neighbour), Following),
+    ) -> CodedPixel {
+        Self::pixel(self, times, coder, content, on, around)
+    }
+
+    #[cfg(eecvs_dsp)]
+    fn clock(&mut self) -> Option<&mut Clock> {
+        Some(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::cells::Fidelity;
+    use super::super::content::{END, Node};
+    use super::super::range::{RangeDecoder, RangeEncoder};
+    use super::*;
+    use proptest::prelude::*;
+    use std::boxed::Box;
+    use std::collections::BTreeMap;
+    use std::vec;
+    use std::vec::Vec;
+
+    type Pixel = ((u16, u16), Vec<(u32, bool)>);
+
+    /// Pixels in raster order, y first, with their events in order of time.
+    fn pixels(events: &[(u16, u16, u32, bool)]) -> Vec<Pixel> {
+        let mut pixels = BTreeMap::<_, Vec<_>>::new();
+        for (x, y, cell, on) in events {
+            pixels.entry((*y, *x)).or_default().push((*cell, *on));
+        }
+        pixels
+            .into_iter()
+            .map(|((y, x), mut events)| {
+                events.sort_by_key(|(cell, _)| *cell);
+                ((x, y), events)
+            })
+            .collect()
+    }
+
+    /// A frame on either side, as one list of events.
+    struct Listed {
+        pixels: Vec<Pixel>,
+        nodes: Vec<Node>,
+        at: (usize, usize),
+        place: (u16, u16),
+        found: Vec<Pixel>,
+        left: u32,
+    }
+
+    impl Listed {
+        fn new(pixels: Vec<Pixel>, left: u32) -> Self {
+            Self {
+                pixels,
+                nodes: vec![],
+                at: (0, 0),
+                place: (0, 0),
+                found: vec![],
+                left,
+            }
+        }
+    }
+
+    impl Content for Listed {
+        fn has_row(&mut self, y: u16) -> bool {
+            self.pixels
+                .get(self.at.0)
+                .is_some_and(|pixel| pixel.0.1 == y)
+        }
+        fn has_segment(&mut self, segment: u16, y: u16) -> bool {
+            self.place = (segment, y);
+            self.pixels
+                .get(self.at.0)
+                .is_some_and(|pixel| (pixel.0.0 / 32, pixel.0.1) == self.place)
+        }
+        fn columns(&mut self) -> u32 {
+            let of_segment = self.pixels.get(self.at.0..).unwrap_or_default().iter();
+            of_segment
+                .take_while(|pixel| (pixel.0.0 / 32, pixel.0.1) == self.place)
+                .fold(0, |columns, pixel| columns | 1 << (pixel.0.0 % 32))
+        }
+        fn enter(&mut self, position: (u16, u16)) -> u32 {
+            self.found.push((position, vec![]));
+            self.nodes.len() as u32
+        }
+        fn is_more(&self) -> bool {
+            self.pixels.get(self.at.0).is_some_and(|pixel| {
+                pixel.0 == self.found.last().unwrap().0 && self.at.1 < pixel.1.len()
+            })
+        }
+        fn peek(&self) -> (u32, bool) {
+            self.pixels
+                .get(self.at.0)
+                .map_or((0, false), |pixel| pixel.1[self.at.1])
+        }
+        fn take(&mut self, cell: u32, on: bool) {
+            let len = self.nodes.len();
+            let pixel = self.found.last_mut().unwrap();
+            if let Some(node) = self.nodes.last_mut()
+                && !pixel.1.is_empty()
+            {
+                node.next = len as u32;
+            }
+            self.nodes.push(Node {
+                cell,
+                on,
+                next: END,
+            });
+            pixel.1.push((cell, on));
+            self.left -= 1;
+            self.at.1 += 1;
+            if self
+                .pixels
+                .get(self.at.0)
+                .is_some_and(|pixel| pixel.1.len() == self.at.1)
+            {
+                self.at = (self.at.0 + 1, 0);
+            }
+        }
+        fn is_over(&self) -> bool {
+            self.left == 0
+        }
+        fn at(&self, list: u32) -> Option<Node> {
+            self.nodes.get(list as usize).copied()
+        }
+    }
+
+    struct Memory(Box<Model>, Vec<u32>);
+
+    impl Memory {
+        fn new(sensor: Sensor, has_previous: bool) -> Self {
+            let words = words(sensor, has_previous);
+            Self(Box::new(Model::UNSET), vec![7; words])
+        }
+        fn lent(&mut self) -> DenseMemory<'_> {
+            DenseMemory {
+                model: &mut self.0,
+                words: &mut self.1,
+            }
+        }
+    }
+
+    /// Encodes a window into as many frames as it takes and decodes them; their bytes.
+    fn there_and_back(
+        (encoder, decoder): (&mut Dense<'_>, &mut Dense<'_>),
+        pixels: &[Pixel],
+        cells: u32,
+        out_bytes: usize,
+    ) -> Vec<usize> {
+        let times = Times::new(Fidelity::Lossless, None, cells);
+        let count = |pixels: &[Pixel]| pixels.iter().map(|pixel| pixel.1.len() as u32).sum::<u32>();
+        let mut frames = vec![];
+        let mut content = Listed::new(pixels.to_vec(), count(pixels));
+        let mut decoded = BTreeMap::<_, Vec<_>>::new();
+        while !content.is_over() {
+            let mut out = vec![0; out_bytes];
+            let mut coder = RangeEncoder::new(&mut out);
+            let coded = encoder.code(&mut coder, &mut content, times);
+            assert!(coded.events > 0);
+            let bytes = coder.finish();
+            let mut reader = RangeDecoder::new(&out[..bytes]);
+            let mut read = Listed::new(vec![], coded.events);
+            let again = decoder.code(&mut reader, &mut read, times);
+            assert_eq!((again.events, again.pixels), (coded.events, coded.pixels));
+            assert!(coded.overran || reader.is_spent());
+            if coded.overran {
+                encoder.restart();
+                decoder.restart();
+            }
+            for ((x, y), events) in read.found {
+                decoded.entry((y, x)).or_default().extend(events);
+            }
+            frames.push(bytes);
+        }
+        let expected: BTreeMap<_, _> = pixels
+            .iter()
+            .map(|((x, y), events)| ((*y, *x), events.clone()))
+            .collect();
+        assert_eq!(decoded, expected);
+        frames
+    }
+
+    fn events(
+        width: u16,
+        height: u16,
+        cells: u32,
+    ) -> impl Strategy<Value = Vec<(u16, u16, u32, bool)>> {
+        let near = (
+            0..width.min(3),
+            0..height.min(3),
+            0..cells.min(40),
+            any::<bool>(),
+        );
+        let any = (0..width, 0..height, 0..cells, any::<bool>());
+        proptest::collection::vec(prop_oneof![any, near], 0..200)
+    }
+
+    proptest! {
+        #[test]
+        fn windows_come_back(
+            (width, height, cells, windows) in (1_u16..100, 1_u16..20, prop_oneof![1_u32..70, 1_u32..])
+                .prop_flat_map(|(width, height, cells)| {
+                    let window = events(width, height, cells);
+                    (Just(width), Just(height), Just(cells), proptest::collection::vec(window, 1..4))
+                }),
+            has_previous: bool,
+            out_bytes in prop_oneof![Just(20_000_usize), 200_usize..800],
+        ) {
+            let sensor = Sensor::new(width, height).unwrap();
+            let mut memory = (Memory::new(sensor, has_previous), Memory::new(sensor, has_previous));
+            let (mut encoder, mut decoder) = (memory.0.lent(), memory.1.lent());
+            // What is enough for a few rows is enough for both windows.
+            let has_previous = encoder.has_previous(sensor);
+            let mut encoder = Dense::new(sensor, &mut encoder).unwrap();
+            let mut decoder = Dense::with_previous(sensor, has_previous, &mut decoder).unwrap();
+            encoder.restart();
+            decoder.restart();
+            for window in windows {
+                there_and_back((&mut encoder, &mut decoder), &pixels(&window), cells, out_bytes);
+            }
+        }
+
+        /// Any bytes are events, or an end; what is decoded stays on the sensor and in the window.
+        #[test]
+        fn any_bytes_decode_without_a_panic(
+            bytes in any::<Vec<u8>>(), width in 1_u16..100, height in 1_u16..20,
+            cells in 1_u32.., left in 0_u32..10_000, has_previous: bool,
+        ) {
+            let sensor = Sensor::new(width, height).unwrap();
+            let mut memory = Memory::new(sensor, has_previous);
+            let mut lent = memory.lent();
+            let mut decoder = Dense::with_previous(sensor, has_previous, &mut lent).unwrap();
+            decoder.restart();
+            let mut reader = RangeDecoder::new(&bytes);
+            let mut read = Listed::new(vec![], left);
+            let times = Times::new(Fidelity::Lossless, None, cells);
+            let coded = decoder.code(&mut reader, &mut read, times);
+            prop_assert_eq!(coded.events, left - read.left);
+            for ((x, y), events) in read.found {
+                prop_assert!(x < width && y < height);
+                prop_assert!(events.iter().all(|event| event.0 < cells));
+                prop_assert!(events.windows(2).all(|two| two[0].0 <= two[1].0));
+            }
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! All that the dense coder learns: probabilities and tables by their contexts.
+
+use crate::coder::dense::neighbourhood::{
+    PIXEL_CONTEXTS, POLARITY_CONTEXTS, RUN_CONTEXTS, SEGMENT_CONTEXTS,
+};
+use crate::coder::dense::times::Times;
+use crate::coder::range::Probability;
+
+/// What is learned of the rows' flags: by whether the row above and this one of the window before
+/// have pixels.
+const ROW_CONTEXTS: usize = 4;
+
+/// The dense coder's memory that has the same size for every sensor.
+#[derive(Debug, Clone)]
+pub struct Model {
+    pub(super) rows: [Probability; ROW_CONTEXTS],
+    pub(super) segments: [Probability; SEGMENT_CONTEXTS],
+    pub(super) runs: [Probability; RUN_CONTEXTS],
+    pub(super) pixels: [Probability; PIXEL_CONTEXTS],
+    pub(super) polarities: [Probability; POLARITY_CONTEXTS],
+    pub(super) times: Times,
+}
+
+impl Model {
+    /// All zero, for memory in `.bss`; [`Self::restart`] comes before use.
+    pub const UNSET: Self = Self {
+        rows: [Probability::UNSET; _],
+        segments: [Probability::UNSET; _],
+        runs: [Probability::UNSET; _],
+        pixels: [Probability::UNSET; _],
+        polarities: [Probability::UNSET; _],
+        times: Times::UNSET,
+    };
+
+    /// Forgets everything.
+    pub fn restart(&mut self) {
+        let Self {
+            rows,
+            segments,
+            runs,
+            pixels,
+            polarities,
+            times,
+        } = self;
+        rows.fill(Probability::EVEN);
+        segments.fill(Probability::EVEN);
+        runs.fill(Probability::EVEN);
+        pixels.fill(Probability::EVEN);
+        polarities.fill(Probability::EVEN);
+        times.restart();
+    }
+}

@@ -1,0 +1,228 @@
+//! Learned frequencies of a few symbols, so that one step of the range coder codes one of many.
+//!
+//! They stay as they are for a block of symbols, at most `BLOCK`, and then move towards what the
+//! block had: a symbol costs one count, and a block one pass over the table.
+
+#[cfg(eecvs_dsp)]
+mod armv7em;
+
+use super::range::SCALE;
+#[cfg(eecvs_dsp)]
+use crate::coder::symbols::armv7em::move_shares;
+
+/// Symbols from one renewal to the next, once the table has seen enough.
+const BLOCK: u8 = 32;
+/// Symbols of the first block.
+const BLOCK_FIRST: u8 = 4;
+/// Symbols remembered at the most: a renewal moves the frequencies by `block / seen` of the way.
+const SEEN_MAX: u16 = 1024;
+
+/// A table of N - 1 symbols.
+#[derive(Debug, Clone)]
+#[repr(C)]
+pub struct Symbols<const N: usize> {
+    /// Where each symbol's share of [`SCALE`] begins; the last is the end.
+    starts: [u16; N],
+    /// How often each came in the block at hand.
+    counts: [u8; N],
+    /// Symbols left of the block, and symbols seen before it.
+    left: u8,
+    seen: u16,
+}
+
+impl<const N: usize> Symbols<N> {
+    /// All zero, for memory in `.bss`; [`Self::restart`] comes before use.
+    pub const UNSET: Self = Self {
+        starts: [0; N],
+        counts: [0; N],
+        left: 0,
+        seen: 0,
+    };
+
+    /// Where the counts and what is left of the block are, for assembly.
+    #[cfg(eecvs_dsp)]
+    pub(super) const COUNTS_AT: usize = core::mem::offset_of!(Self, counts);
+    #[cfg(eecvs_dsp)]
+    pub(super) const LEFT_AT: usize = core::mem::offset_of!(Self, left);
+
+    /// Whether assembly may move the shares: the table ends a turn of four symbols, or is one short of it,
+    /// and never moves all of the way.
+    #[cfg(eecvs_dsp)]
+    const IS_MOVED_BY_FOURS: bool = N >= 8 && N % 4 <= 1;
+
+    const COUNT: u32 = {
+        assert!(N >= 2 && N <= 256);
+        N as u32 - 1
+    };
+
+    /// All symbols are as likely as each other.
+    pub fn restart(&mut self) {
+        let step = SCALE / Self::COUNT;
+        for (start, at) in self.starts.iter_mut().zip(0..) {
+            *start = (step * at) as u16;
+        }
+        self.end();
+        self.counts = [0; N];
+        self.left = BLOCK_FIRST;
+        // What all of them being likely is worth: an eighth of a symbol each.
+        self.seen = N as u16 / 8;
+    }
+
+    fn end(&mut self) {
+        if let Some(end) = self.starts.last_mut() {
+            *end = SCALE as u16;
+        }
+    }
+
+    /// Begin and end of a symbol's share, which is not empty; a symbol beyond the last is the last.
+    #[inline(always)]
+    #[must_use]
+    pub fn share(&self, symbol: usize) -> (u32, u32) {
+        let symbol = symbol.min(N - 2);
+        (
+            u32::from(self.starts[symbol]),
+            u32::from(self.starts[symbol + 1]),
+        )
+    }
+
+    /// The symbol in whose share a place below [`SCALE`] is.
+    #[inline(always)]
+    #[must_use]
+    pub fn find(&self, place: u32) -> usize {
+        let (mut low, mut high) = (0, N - 1);
+        while high - low > 1 {
+            let middle = (low + high) / 2;
+            if u32::from(self.starts[middle]) <= place {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        low
+    }
+
+    /// Learns from a symbol.
+    #[inline(always)]
+    pub fn learn(&mut self, symbol: usize) {
+        // A block is shorter than what a count holds.
+        let count = &mut self.counts[symbol.min(N - 2)];
+        *count = count.wrapping_add(1);
+        self.left = self.left.wrapping_sub(1);
+        if self.left == 0 {
+            self.renew();
+        }
+    }
+
+    /// Moves the frequencies towards those of the block, each at least 1.
+    #[inline(never)]
+    pub(super) fn renew(&mut self) {
+        // The block's length was a power of two, from what had been seen.
+        let block = block(self.seen.saturating_sub(N as u16 / 8));
+        let seen = (self.seen + u16::from(block)).min(SEEN_MAX);
+        let rate = (u32::from(block) << 16) / u32::from(seen.max(1));
+        // What there is beyond one each, for one of the block.
+        let each = (SCALE - Self::COUNT) / u32::from(block);
+        self.move_shares(each, rate >> 1);
+        self.seen = seen;
+        self.left = self::block(seen - N as u16 / 8);
+    }
+
+    /// Moves the shares, beyond one each, by `rate` / 2^15 of the way towards `each` times the counts, and
+    /// forgets those.
+    #[inline(always)]
+    fn move_shares(&mut self, each: u32, rate: u32) {
+        #[cfg(eecvs_dsp)]
+        if Self::IS_MOVED_BY_FOURS {
+            let turns = Self::COUNT.div_ceil(4);
+            // SAFETY: the starts, counts and what is left of the block are behind each other, so that what
+            // the last turn reads and writes beyond the last symbol is of this table, and is set anew below
+            // and by the caller. The build script sets `eecvs_dsp` only for cores that have the
+            // instructions.
+            #[allow(unsafe_code)]
+            unsafe {
+                let table = (&raw mut *self).cast::<u8>();
+                let counts = table.wrapping_add(Self::COUNTS_AT);
+                move_shares(table.cast(), counts, turns, 2 * each, rate);
+            }
+            self.end();
+            return;
+        }
+        let (each, rate) = (each as i32, rate as i32);
+        let (mut begin, mut at) = (0_i32, 0_i32);
+        for i in 0..N - 1 {
+            let end = i32::from(self.starts[i + 1]);
+            let old = end - begin - 1;
+            begin = end;
+            self.starts[i] = at as u16;
+            let target = i32::from(self.counts[i]) * each;
+            self.counts[i] = 0;
+            // Below 2^15 times 2^16, and rounded down: what is missing at the end is the last's.
+            at += 1 + old + (((target - old) * rate) >> 15);
+        }
+    }
+}
+
+/// Length of the block that begins after so many symbols: a power of two.
+const fn block(seen: u16) -> u8 {
+    if seen < 2 * BLOCK_FIRST as u16 {
+        BLOCK_FIRST
+    } else if seen < 4 * BLOCK_FIRST as u16 {
+        2 * BLOCK_FIRST
+    } else if seen < BLOCK as u16 * 2 {
+        BLOCK / 2
+    } else {
+        BLOCK
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn is_sound<const N: usize>(table: &Symbols<N>) -> bool {
+        let shares = (0..N - 1).map(|symbol| table.share(symbol));
+        let mut at = 0;
+        for (symbol, (begin, end)) in shares.enumerate() {
+            if begin != at || end <= begin {
+                return false;
+            }
+            if table.find(begin) != symbol || table.find(end - 1) != symbol {
+                return false;
+            }
+            at = end;
+        }
+        at == SCALE
+    }
+
+    proptest! {
+        #[test]
+        fn shares_are_whole_and_not_empty(
+            symbols in proptest::collection::vec(prop_oneof![0_usize..63, Just(5), Just(62)], 0..3000),
+        ) {
+            let (mut wide, mut narrow) = (Symbols::<64>::UNSET, Symbols::<2>::UNSET);
+            wide.restart();
+            narrow.restart();
+            prop_assert!(is_sound(&wide) && is_sound(&narrow));
+            for symbol in symbols {
+                wide.learn(symbol);
+                narrow.learn(0);
+                prop_assert!(is_sound(&wide) && is_sound(&narrow));
+            }
+        }
+    }
+
+    /// One symbol alone gets nearly everything, and loses it again.
+    #[test]
+    fn frequencies_follow() {
+        let mut table = Symbols::<17>::UNSET;
+        table.restart();
+        for symbol in [3, 9] {
+            for _ in 0..5000 {
+                table.learn(symbol);
+            }
+            let (begin, end) = table.share(symbol);
+            assert!(end - begin > SCALE - SCALE / 32, "{}", end - begin);
+        }
+    }
+}

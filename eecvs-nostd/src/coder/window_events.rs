@@ -1,0 +1,317 @@
+//! A window's events to a hybrid frame: group, cells, and one of the coders.
+
+use crate::coder::Times;
+use crate::coder::bits_msb_first::BigWriter;
+use crate::coder::content::{Content, Node};
+use crate::coder::dense::Dense;
+#[cfg(eecvs_dsp)]
+use crate::coder::dense::armv7em::{Parts, Walked, Walks};
+#[cfg(eecvs_dsp)]
+use crate::coder::fast::walk::armv7em as fast_walk;
+#[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
+use crate::coder::fast::walk::portable32 as fast_walk;
+use crate::coder::fast::{Fast, ROOM_WORDS, Unordered};
+use crate::coder::range::RangeEncoder;
+use crate::frame::Header;
+use crate::group::sort::ascending;
+use crate::group::{Group, Impulses, Pixel};
+use crate::stage::{Stage, Trace};
+use crate::window::{Slot, Window};
+
+/// What a frame took.
+pub(crate) struct Taken {
+    pub(crate) payload_bytes: usize,
+    pub(crate) events: u32,
+    /// The window has no more.
+    pub(crate) is_last: bool,
+    /// The next frame of the dense coder has to begin anew.
+    pub(crate) overran: bool,
+}
+
+/// What is left of a window between frames.
+pub(crate) struct EventEncoder<'e, 'w, 'b> {
+    group: &'e mut Group,
+    window: &'w mut Window<'b>,
+    times: Times,
+    /// The next pixel is the rest of one whose times are in order and as they are told.
+    is_rest: &'e mut bool,
+}
+
+impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
+    pub(crate) const fn new(
+        group: &'e mut Group,
+        window: &'w mut Window<'b>,
+        times: Times,
+        is_rest: &'e mut bool,
+    ) -> Self {
+        Self {
+            group,
+            window,
+            times,
+            is_rest,
+        }
+    }
+
+    /// Tells a pixel's times as they are to be told, where it is not the rest of one of which that was done.
+    #[inline(always)]
+    fn tell_times(&mut self, place: (u16, u16), head: u32) {
+        if !*self.is_rest && !self.times.are_plain() {
+            let slots = self.window.slots();
+            let mut at = head;
+            while let Some(slot) = slots.get_mut(at as usize) {
+                at = slot.next();
+                *slot = slot.with_offset_us(self.times.of(place, slot.offset_us()));
+            }
+        }
+        *self.is_rest = false;
+    }
+
+    /// The next pixel, its times as they are told and in order.
+    #[inline(always)]
+    fn next(&mut self) -> Option<Pixel> {
+        let mut pixel = self.group.next(self.window)?;
+        self.tell_times((pixel.x, pixel.y), pixel.head);
+        if pixel.on + pixel.off > 1 {
+            pixel.head = ascending(self.window.slots(), pixel.head);
+        }
+        Some(pixel)
+    }
+
+    /// The same in any order, and not counted.
+    #[inline(always)]
+    fn next_uncounted(&mut self) -> Option<Pixel> {
+        let pixel = self.group.next_uncounted(self.window)?;
+        self.tell_times((pixel.x, pixel.y), pixel.head);
+        Some(pixel)
+    }
+
+    /// Keeps what is left of a pixel, from slot `head` on, for the next frame.
+    fn put_back(&mut self, pixel: Pixel, head: u32) {
+        let slots = self.window.slots();
+        let mut rest = Pixel {
+            on: 0,
+            off: 0,
+            head,
+            ..pixel
+        };
+        for impulse in Impulses::new(rest, slots) {
+            rest.on += u32::from(impulse.is_on);
+            rest.off += u32::from(!impulse.is_on);
+        }
+        self.group.put_back(rest);
+        *self.is_rest = true;
+    }
+
+    /// The same of one that is not counted.
+    fn put_back_uncounted(&mut self, pixel: Pixel, head: u32) {
+        self.group.put_back(Pixel { head, ..pixel });
+        *self.is_rest = true;
+    }
+
+    /// Codes with [`Fast`] into `out`.
+    // On a host there is nothing before the pixel.
+    #[cfg_attr(target_pointer_width = "64", allow(clippy::while_let_loop))]
+    #[inline(never)]
+    pub(crate) fn fast<T: Trace>(
+        &mut self,
+        header: &Header,
+        out: &mut [u8],
+        trace: &mut T,
+    ) -> Taken {
+        let mut writer = BigWriter::new(out);
+        let mut coder = Fast::new(header.sensor, header.window_events, self.times.count());
+        let mut taken = Taken {
+            payload_bytes: 0,
+            events: 0,
+            is_last: true,
+            overran: false,
+        };
+        loop {
+            #[cfg(not(target_pointer_width = "64"))]
+            if !T::LISTENS && self.times.are_plain() {
+                // All but the pixels that it leaves to what follows.
+                *self.is_rest = false;
+                let all = (&mut *self.group, &mut *self.window);
+                taken.events += fast_walk::walk(all, &mut coder, &mut writer);
+            }
+            let Some(mut pixel) = self.next_uncounted() else {
+                break;
+            };
+            if !writer.has_words(ROOM_WORDS) {
+                self.put_back_uncounted(pixel, pixel.head);
+                taken.is_last = false;
+                break;
+            }
+            trace.enter(Stage::Pack);
+            let written = loop {
+                let impulses = Impulses::new(pixel, self.window.slots());
+                let events = impulses.map(|impulse| (impulse.offset_us, impulse.is_on));
+                match coder.write((pixel.x, pixel.y), events, &mut writer) {
+                    Ok(written) => break written,
+                    // They nearly always come in order: to look first would cost more.
+                    Err(Unordered) => pixel.head = ascending(self.window.slots(), pixel.head),
+                }
+            };
+            taken.events += written.events;
+            if !written.is_whole {
+                let head = nth(self.window.slots(), pixel.head, written.events);
+                self.put_back_uncounted(pixel, head);
+                taken.is_last = false;
+                break;
+            }
+            trace.enter(Stage::Group);
+        }
+        taken.payload_bytes = writer.finish();
+        taken
+    }
+
+    /// Codes with [`Dense`] into `out`, up to `left` events, which the window has.
+    #[inline(never)]
+    pub(crate) fn dense<T: Trace>(
+        &mut self,
+        dense: &mut Dense<'_>,
+        left: u32,
+        out: &mut [u8],
+        trace: &mut T,
+    ) -> Taken {
+        trace.enter(Stage::Pack);
+        let mut coder = RangeEncoder::new(out);
+        let times = self.times;
+        let mut content = Pixels {
+            pixel: None,
+            at: 0,
+            slot: Slot::EMPTY,
+            rest: 0,
+            left,
+            #[cfg(eecvs_dsp)]
+            is_portable: T::IS_PORTABLE,
+            encoder: self,
+        };
+        let coded = dense.code(&mut coder, &mut content, times);
+        let (pixel, at, rest) = (content.pixel, content.at, content.rest);
+        if let Some(pixel) = pixel
+            && rest > 0
+        {
+            self.put_back(pixel, at);
+        }
+        trace.enter(Stage::Group);
+        Taken {
+            payload_bytes: coder.finish(),
+            events: coded.events,
+            is_last: coded.events == left,
+            overran: coded.overran,
+        }
+    }
+}
+
+fn nth(slots: &[Slot], mut at: u32, count: u32) -> u32 {
+    for _ in 0..count {
+        let Some(slot) = slots.get(at as usize) else {
+            break;
+        };
+        at = slot.next();
+    }
+    at
+}
+
+/// The window as the dense coder asks for it.
+struct Pixels<'p, 'e, 'w, 'b> {
+    encoder: &'p mut EventEncoder<'e, 'w, 'b>,
+    /// The pixel at hand, the slot of its next event, by number and content, and how many are left of
+    /// it.
+    pixel: Option<Pixel>,
+    at: u32,
+    slot: Slot,
+    rest: u32,
+    /// Events left of the window.
+    left: u32,
+    /// [`Trace::IS_PORTABLE`]
+    #[cfg(eecvs_dsp)]
+    is_portable: bool,
+}
+
+impl Pixels<'_, '_, '_, '_> {
+    #[inline(always)]
+    fn go_to(&mut self, at: u32) {
+        let slots = self.encoder.window.slots_now();
+        self.at = at;
+        self.slot = slots.get(at as usize).copied().unwrap_or(Slot::EMPTY);
+    }
+}
+
+impl Content for Pixels<'_, '_, '_, '_> {
+    fn has_row(&mut self, y: u16) -> bool {
+        let EventEncoder { group, window, .. } = &mut *self.encoder;
+        group.is_next_in_row(window, y)
+    }
+
+    fn has_segment(&mut self, segment: u16, y: u16) -> bool {
+        let EventEncoder { group, window, .. } = &mut *self.encoder;
+        group.is_next_in_segment(window, (segment, y))
+    }
+
+    fn columns(&mut self) -> u32 {
+        // `has_segment` has gone to it.
+        self.encoder.group.columns
+    }
+
+    fn enter(&mut self, _position: (u16, u16)) -> u32 {
+        // It was asked for: there is one.
+        self.pixel = self.encoder.next();
+        let (head, events) = self
+            .pixel
+            .map_or((0, 0), |pixel| (pixel.head, pixel.on + pixel.off));
+        self.rest = events;
+        self.go_to(head);
+        head
+    }
+
+    #[inline(always)]
+    fn is_more(&self) -> bool {
+        self.rest > 0
+    }
+
+    #[inline(always)]
+    fn peek(&self) -> (u32, bool) {
+        (self.slot.offset_us(), self.slot.is_on())
+    }
+
+    #[inline(always)]
+    fn take(&mut self, _cell: u32, _on: bool) {
+        self.go_to(self.slot.next());
+        self.rest = self.rest.saturating_sub(1);
+        self.left = self.left.saturating_sub(1);
+    }
+
+    #[inline(always)]
+    fn is_over(&self) -> bool {
+        self.left == 0
+    }
+
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    fn with_parts(&mut self, walk: impl Walks) -> Option<Walked> {
+        if self.is_portable || !self.encoder.times.are_plain() {
+            return None;
+        }
+        *self.encoder.is_rest = false;
+        Some(walk.walk(Parts {
+            group: &mut *self.encoder.group,
+            window: &mut *self.encoder.window,
+            left: &mut self.left,
+            pixel: &mut self.pixel,
+            at: &mut self.at,
+            rest: &mut self.rest,
+        }))
+    }
+
+    #[inline(always)]
+    fn at(&self, list: u32) -> Option<Node> {
+        let slot = self.encoder.window.slots_now().get(list as usize)?;
+        Some(Node {
+            cell: slot.offset_us(),
+            on: slot.is_on(),
+            next: slot.next(),
+        })
+    }
+}

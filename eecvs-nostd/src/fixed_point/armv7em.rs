@@ -1,0 +1,71 @@
+//! One instruction each. The compiler finds them too, but where it knows a sign or a constant it
+//! takes three others instead.
+
+use core::arch::asm;
+
+#[inline(always)]
+pub fn mul_high(a: i32, b: i32) -> i32 {
+    let product;
+    // SAFETY: reads two registers, writes a third, touches neither memory nor flags; the build
+    // script sets `eecvs_dsp` only for cores that have the instruction.
+    unsafe {
+        asm!("smmul {}, {}, {}", lateout(reg) product, in(reg) a, in(reg) b,
+            options(pure, nomem, nostack, preserves_flags));
+    }
+    product
+}
+
+#[inline(always)]
+pub fn mul_high_round(a: i32, b: i32) -> i32 {
+    let product;
+    // SAFETY: as for `mul_high`.
+    unsafe {
+        asm!("smmulr {}, {}, {}", lateout(reg) product, in(reg) a, in(reg) b,
+            options(pure, nomem, nostack, preserves_flags));
+    }
+    product
+}
+
+#[inline(always)]
+pub fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
+    let total;
+    // SAFETY: as for `mul_high`.
+    unsafe {
+        asm!("smmla {0}, {2}, {3}, {1}", lateout(reg) total, in(reg) sum, in(reg) a, in(reg) b,
+            options(pure, nomem, nostack, preserves_flags));
+    }
+    total
+}
+
+#[inline(always)]
+pub fn mul_add(a: i32, b: i32, c: i32) -> i32 {
+    let sum;
+    // SAFETY: as for `mul_high`.
+    unsafe {
+        asm!("mla {0}, {1}, {2}, {3}", lateout(reg) sum, in(reg) a, in(reg) b, in(reg) c,
+            options(pure, nomem, nostack, preserves_flags));
+    }
+    sum
+}
+
+#[inline(always)]
+pub fn dot_add(sum: i32, a: u32, b: u32) -> i32 {
+    let total;
+    // SAFETY: as for `mul_high`; an overflow would set the Q flag, which nobody reads.
+    unsafe {
+        asm!("smlad {0}, {2}, {3}, {1}", lateout(reg) total, in(reg) sum, in(reg) a, in(reg) b,
+            options(pure, nomem, nostack));
+    }
+    total
+}
+
+#[inline(always)]
+pub fn negate_halves(halves: u32, negative: u32) -> u32 {
+    let negated;
+    // SAFETY: as for `mul_high`, but for the GE flags, which are not declared as preserved.
+    unsafe {
+        asm!("ssub16 {0}, {1}, {2}", lateout(reg) negated, in(reg) halves ^ negative,
+            in(reg) negative, options(pure, nomem, nostack));
+    }
+    negated
+}

@@ -1,0 +1,225 @@
+//! Q formats of the signal path, and the rounding rule.
+//!
+//! | quantity | type | range | resolution |
+//! |---|---|---|---|
+//! | phase u = (t - t0) / T, a fraction of a turn | [`Phase`] = U0F32 | [0, 1) | 2^-32 |
+//! | atom value | [`Atom`] = I2F30 | [-1, 1] | 2^-30 |
+//! | sum of up to [`CHUNK_EVENTS`] atoms | [`Sum`] = I7F25 | ±64 | 2^-25 |
+//! | sum over a window | [`WideSum`] = I39F25 | ±2^38 | 2^-25 |
+//!
+//! An atom has the sums' 25 fractional bits from the start ([`dot_add`], one instruction where there
+//! are two 16 x 16 multipliers), so sums add without any rounding; the quantiser floors to the middle
+//! of its step ([`crate::quantise`]).
+
+#[cfg_attr(eecvs_dsp, allow(dead_code))]
+mod portable;
+
+#[cfg(eecvs_dsp)]
+#[allow(unsafe_code)]
+mod armv7em;
+
+#[cfg(eecvs_dsp)]
+use armv7em as chosen;
+use fixed::types::{I2F30, I7F25, I39F25, U0F32};
+#[cfg(not(eecvs_dsp))]
+use portable as chosen;
+
+/// Fraction of a turn; wraps, so that k * phase never drifts.
+pub type Phase = U0F32;
+/// Value of an atom.
+pub type Atom = I2F30;
+/// Sum of at most [`CHUNK_EVENTS`] signed atoms.
+pub type Sum = I7F25;
+/// Sum over all events that a window can hold.
+pub type WideSum = I39F25;
+
+/// Fractional bits of both sums.
+pub const FRACTION_BITS: u32 = 25;
+
+/// Events summed in one go: as many as [`Sum`] holds without overflow.
+pub const CHUNK_EVENTS: usize = 63;
+const _: () = assert!(CHUNK_EVENTS << FRACTION_BITS <= i32::MAX as usize);
+
+/// floor(a b / 2^32)
+#[inline(always)]
+#[must_use]
+pub fn mul_high(a: i32, b: i32) -> i32 {
+    chosen::mul_high(a, b)
+}
+
+/// a b / 2^32, rounded half up.
+#[inline(always)]
+#[must_use]
+pub fn mul_high_round(a: i32, b: i32) -> i32 {
+    chosen::mul_high_round(a, b)
+}
+
+/// `sum` + floor(a b / 2^32), wrapping.
+#[inline(always)]
+#[must_use]
+pub fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
+    chosen::mul_high_add(sum, a, b)
+}
+
+/// a b + c, wrapping; one instruction also where b is known to be a power of two.
+#[inline(always)]
+#[must_use]
+pub fn mul_add(a: i32, b: i32, c: i32) -> i32 {
+    chosen::mul_add(a, b, c)
+}
+
+/// `sum` plus the products of the upper and of the lower halves, which are signed; wrapping.
+#[inline(always)]
+#[must_use]
+pub fn dot_add(sum: i32, a: u32, b: u32) -> i32 {
+    chosen::dot_add(sum, a, b)
+}
+
+/// -x for both signed halves x of `halves` where `negative` is all ones, x where it is 0.
+#[inline(always)]
+#[must_use]
+pub fn negate_halves(halves: u32, negative: u32) -> u32 {
+    chosen::negate_halves(halves, negative)
+}
+
+/// A coefficient in either width: what pruning and quantising need of it.
+pub trait Coefficient: Copy {
+    /// Whether [`Self::is_cut`] ever holds.
+    const CAN_SATURATE: bool;
+
+    /// `value`, which must be in range.
+    fn from_integer(value: i32) -> Self;
+
+    /// The value in the wider type.
+    fn wide(self) -> WideSum;
+
+    /// floor(value / 2^-25 / 2^`shift`), cut to 32 bits; `shift` is 10 to 33.
+    fn level(self, shift: u32) -> i32;
+
+    /// Whether [`Self::level`] cuts.
+    fn is_cut(self, shift: u32) -> bool;
+
+    /// The integer part.
+    fn integer(self) -> i32;
+
+    /// Whether it is 0.
+    fn is_zero(self) -> bool;
+
+    /// The value with 31 fractional bits of n, for |value| < n = any count of `width` bits.
+    fn relative(self, width: u32) -> i32;
+}
+
+impl Coefficient for Sum {
+    const CAN_SATURATE: bool = false;
+
+    #[inline(always)]
+    fn from_integer(value: i32) -> Self {
+        Self::from_bits(value << FRACTION_BITS)
+    }
+
+    #[inline(always)]
+    fn wide(self) -> WideSum {
+        WideSum::from_bits(i64::from(self.to_bits()))
+    }
+
+    #[inline(always)]
+    fn level(self, shift: u32) -> i32 {
+        // From 31 on, nothing but the sign is left.
+        self.to_bits() >> shift.min(31)
+    }
+
+    #[inline(always)]
+    fn is_cut(self, _: u32) -> bool {
+        false
+    }
+
+    #[inline(always)]
+    fn is_zero(self) -> bool {
+        self.to_bits() == 0
+    }
+
+    #[inline(always)]
+    fn integer(self) -> i32 {
+        self.to_bits() >> FRACTION_BITS
+    }
+
+    /// `width` is at most 6: a chunk holds fewer than 64 events.
+    #[inline(always)]
+    fn relative(self, width: u32) -> i32 {
+        self.to_bits() << (6_u32.wrapping_sub(width) & 31)
+    }
+}
+
+impl Coefficient for WideSum {
+    const CAN_SATURATE: bool = true;
+
+    #[inline]
+    fn from_integer(value: i32) -> Self {
+        Self::from_bits(i64::from(value) << FRACTION_BITS)
+    }
+
+    #[inline]
+    fn wide(self) -> WideSum {
+        self
+    }
+
+    #[inline]
+    fn level(self, shift: u32) -> i32 {
+        (self.to_bits() >> (shift & 63)).clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32
+    }
+
+    #[inline]
+    fn is_cut(self, shift: u32) -> bool {
+        i64::from(self.level(shift)) != self.to_bits() >> (shift & 63)
+    }
+
+    #[inline]
+    fn integer(self) -> i32 {
+        (self.to_bits() >> FRACTION_BITS) as i32
+    }
+
+    #[inline]
+    fn is_zero(self) -> bool {
+        self.to_bits() == 0
+    }
+
+    #[inline]
+    fn relative(self, width: u32) -> i32 {
+        ((self.to_bits() << 6) >> (width & 31)) as i32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_widths_agree() {
+        for value in [-3.75, -1.0, -0.5, -0.0078125, 0.0, 0.25, 0.999, 3.5] {
+            let (sum, wide) = (Sum::from_num(value), WideSum::from_num(value));
+            assert_eq!(sum.wide(), wide);
+            for shift in [10, 19, 25, 31, 33] {
+                assert_eq!(sum.level(shift), wide.level(shift), "{value} {shift}");
+                assert!(!sum.is_cut(shift) && !wide.is_cut(shift));
+            }
+            assert_eq!(sum.relative(2), wide.relative(2), "{value}");
+            assert_eq!(sum.integer(), wide.integer());
+        }
+    }
+
+    #[test]
+    fn the_largest_values_are_cut_and_told() {
+        for (value, level, is_cut) in [
+            (65_535, 65_535 << 15, false),
+            (65_536, i32::MAX, true),
+            (-65_536, i32::MIN, false),
+            (-65_537, i32::MIN, true),
+        ] {
+            let value = WideSum::from_num(value);
+            assert_eq!((value.level(10), value.is_cut(10)), (level, is_cut));
+        }
+        let most = WideSum::from_num((1 << 24) - 1);
+        assert_eq!(most.relative(24), ((1 << 24) - 1) << 7);
+        assert_eq!((-most).relative(24), -((1 << 24) - 1) << 7);
+    }
+}

@@ -1,0 +1,838 @@
+//! The link frame: sync, header, payload, CRC; docs/wire-format.md has the layout.
+//!
+//! A frame is parsed where it lies. The header has a checksum of its own, so that a damaged length
+//! is never trusted; the CRC-32 covers everything from the sync bytes to its own start.
+
+pub mod stream;
+
+use serde::{Deserialize, Serialize};
+
+use crate::checksum::{CRC_16, crc_32};
+use crate::coder::{Axis, Coder, Fidelity, Hybrid, Readout, Scans};
+use crate::event::Sensor;
+use crate::pack::bits_lsb_first::BitReader;
+use crate::pack::descriptor::Descriptor;
+use crate::pack::unpack::UnpackError;
+use crate::quantise::Quantiser;
+use crate::regime::Regime;
+use crate::transform::shape::Packing;
+use crate::transform::{GRID_MAX, M_MAX, Transform};
+use crate::window::EVENTS_MAX;
+
+/// First two bytes of a frame.
+pub const SYNC: [u8; 2] = [0xEE, 0xC5];
+/// Version of the wire format whose header ends with further flags.
+pub const VERSION: u8 = 3;
+/// Version of a frame that has none of them.
+pub const VERSION_PLAIN: u8 = 2;
+/// Largest frame, sync to CRC-32.
+pub const FRAME_BYTES_MAX: usize = 1 << 24;
+/// Largest header, sync to CRC-16.
+pub const HEADER_BYTES_MAX: usize = 112;
+/// Bytes of the CRC-32 that ends a frame.
+pub const CRC_BYTES: usize = 4;
+
+/// Sync, version and header length.
+const PREFIX_BYTES: usize = 4;
+/// Every field of the header at its longest.
+const FIELDS_BYTES_MAX: usize = 106;
+const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
+
+/// What a payload holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Mode {
+    /// Every active pixel as its kept coefficients: the paper's scheme.
+    Transform,
+    /// The same coefficients by an adaptive coder.
+    Coefficients(Coder),
+    /// The events.
+    Hybrid(Hybrid),
+}
+
+/// The part of a payload that tells the order in which events of equal time came: its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct OrderSection {
+    /// Its bytes.
+    pub bytes: u32,
+    /// Events whose place in the window's order it tells; 0 in the last frame of the window, which tells
+    /// those of all that are left.
+    pub events: u32,
+}
+
+/// Meaning of a frame's header.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Header {
+    /// The window closed early because its buffer was full.
+    pub truncated: bool,
+    /// A new run begins with the window: the clock fell back before it, so t0 may be any.
+    pub begins_run: bool,
+    /// No further frame of this window follows.
+    pub last: bool,
+    /// Regime of the window's density.
+    pub regime: Regime,
+    /// What the payload holds.
+    pub mode: Mode,
+    /// Nothing was learned from the frames before: it decodes by itself. Of the dense coder's frames
+    /// some do, of all others every one.
+    pub is_key: bool,
+    /// The dense coder looks at the window before.
+    pub has_previous: bool,
+    /// The times lie on these scans; of lossless frames of the dense coder alone.
+    pub scans: Option<Scans>,
+    /// Where events are kept in their order and all have been sent, up to this frame: what it tells of it.
+    pub order: Option<OrderSection>,
+    /// Sequence number of the frame; wraps.
+    pub sequence: u32,
+    /// Number of the frame within its window, from 0.
+    pub part: u32,
+    /// Sensor size.
+    pub sensor: Sensor,
+    /// Start of the window.
+    pub t0_us: u64,
+    /// T of the formulas.
+    pub duration_us: u32,
+    /// N_w.
+    pub window_events: u32,
+    /// Events in this frame.
+    pub events: u32,
+    /// Active pixels in this frame; 0 in a hybrid one, whose payload tells.
+    pub pixels: u32,
+    /// Events too old for their window, since the previous frame; 0 where a run begins for them.
+    pub late: u32,
+    /// Events that a filter kept out, since the previous frame.
+    pub filtered: u32,
+    /// Events lost, since the previous frame.
+    pub dropped: u32,
+    /// Events of this window that the rate control left out.
+    pub thinned: u32,
+    /// Levels of this frame that did not fit 32 bits and were cut to the largest.
+    pub saturated: u32,
+    /// Transform of the window; of a hybrid one, that of the volume made of it, as M, K and the
+    /// quantiser are.
+    pub transform: Transform,
+    /// M.
+    pub m: u8,
+    /// K.
+    pub grid: u16,
+    /// Quantiser of the coefficients.
+    pub quantiser: Quantiser,
+}
+
+/// The header's fields in the order of the link; postcard writes them as varints, and those that a
+/// flag announces only where it is set.
+#[derive(Serialize, Deserialize)]
+struct Wire {
+    payload_bytes: u32,
+    flags: u8,
+    mode: u8,
+    sequence: u32,
+    width: u16,
+    height: u16,
+    t0_us: u64,
+    duration_us: u32,
+    window_events: u32,
+}
+
+/// Where [`PART`] is set: the frame is not its whole window.
+#[derive(Serialize, Deserialize)]
+struct PartWire {
+    part: u32,
+    events: u32,
+}
+
+/// Where [`COUNTS`] is set: one of them is not 0.
+#[derive(Serialize, Deserialize, PartialEq)]
+struct CountsWire {
+    late: u32,
+    filtered: u32,
+    dropped: u32,
+    thinned: u32,
+    saturated: u32,
+}
+
+/// Where [`SHAPE`] is set: always of a transform, else where they are not the default.
+#[derive(Serialize, Deserialize, PartialEq)]
+struct ShapeWire {
+    transform: u8,
+    m: u8,
+    grid: u16,
+    step_log2: i8,
+}
+
+/// Where one of [`COLUMNS`] and [`ROWS`] is set.
+#[derive(Serialize, Deserialize)]
+struct ScanWire {
+    period_q16: u32,
+    slope_q16: i32,
+    phase_q16: i32,
+}
+
+const TRUNCATED: u8 = 1;
+const LAST: u8 = 1 << 1;
+const REGIME_SHIFT: u32 = 2;
+const PART: u8 = 1 << 4;
+const COUNTS: u8 = 1 << 5;
+const SHAPE: u8 = 1 << 6;
+const ORDER: u8 = 1 << 7;
+
+/// Further flags.
+const BEGINS_RUN: u8 = 1;
+
+/// Codes of the mode.
+const TRANSFORM: u8 = 0;
+const FAST: u8 = 1;
+const DENSE: u8 = 2;
+const CODER: u8 = 3;
+const FIDELITY_SHIFT: u32 = 2;
+/// Coder of coefficients, where those of a hybrid mode have the fidelity.
+const COEFFICIENTS_FAST: u8 = TRANSFORM | (1 << FIDELITY_SHIFT);
+const COEFFICIENTS_DENSE: u8 = TRANSFORM | (2 << FIDELITY_SHIFT);
+/// Codes of the fidelity.
+const LOSSLESS: u8 = 0;
+const TOLERANCE: u8 = 1;
+const BINS: u8 = 2;
+const KEY: u8 = 1 << 4;
+const PREVIOUS: u8 = 1 << 5;
+/// Axes of a scan.
+const COLUMNS: u8 = 1 << 6;
+const ROWS: u8 = 1 << 7;
+
+impl CountsWire {
+    const NONE: Self = Self {
+        late: 0,
+        filtered: 0,
+        dropped: 0,
+        thinned: 0,
+        saturated: 0,
+    };
+}
+
+impl Mode {
+    /// Whether every event's time is told exactly.
+    #[must_use]
+    pub const fn is_lossless(self) -> bool {
+        matches!(
+            self,
+            Self::Hybrid(Hybrid {
+                fidelity: Fidelity::Lossless,
+                ..
+            })
+        )
+    }
+
+    /// Whether frames hold coefficients, by whichever coder.
+    #[must_use]
+    pub const fn is_transform(self) -> bool {
+        matches!(self, Self::Transform | Self::Coefficients(_))
+    }
+
+    /// Whether frames go on from those before, up to the next key frame.
+    #[must_use]
+    pub const fn is_dense(self) -> bool {
+        matches!(
+            self,
+            Self::Coefficients(Coder::Dense)
+                | Self::Hybrid(Hybrid {
+                    coder: Coder::Dense,
+                    ..
+                })
+        )
+    }
+
+    /// Its code on a link, and the value that goes with it where there is one.
+    pub(crate) const fn code(self) -> (u8, Option<u32>) {
+        let Hybrid { coder, fidelity } = match self {
+            Self::Transform => return (TRANSFORM, None),
+            Self::Coefficients(Coder::Fast) => return (COEFFICIENTS_FAST, None),
+            Self::Coefficients(Coder::Dense) => return (COEFFICIENTS_DENSE, None),
+            Self::Hybrid(hybrid) => hybrid,
+        };
+        let coder = match coder {
+            Coder::Fast => FAST,
+            Coder::Dense => DENSE,
+        };
+        let (fidelity, value) = match fidelity {
+            Fidelity::Lossless => (LOSSLESS, None),
+            Fidelity::ToleranceUs(tolerance_us) => (TOLERANCE, Some(tolerance_us)),
+            Fidelity::Bins(bins) => (BINS, Some(bins as u32)),
+        };
+        (coder | (fidelity << FIDELITY_SHIFT), value)
+    }
+
+    /// The inverse of [`Self::code`]; `None` for a code or a value that there is not.
+    pub(crate) const fn from_code(code: u8, value: u32) -> Option<Self> {
+        match code {
+            TRANSFORM => return Some(Self::Transform),
+            COEFFICIENTS_FAST => return Some(Self::Coefficients(Coder::Fast)),
+            COEFFICIENTS_DENSE => return Some(Self::Coefficients(Coder::Dense)),
+            _ => (),
+        }
+        let fidelity = match code >> FIDELITY_SHIFT {
+            LOSSLESS => Fidelity::Lossless,
+            TOLERANCE => Fidelity::ToleranceUs(value),
+            BINS if value > 0 && value <= u16::MAX as u32 => Fidelity::Bins(value as u16),
+            _ => return None,
+        };
+        let coder = match code & CODER {
+            FAST => Coder::Fast,
+            DENSE => Coder::Dense,
+            _ => return None,
+        };
+        Some(Self::Hybrid(Hybrid { coder, fidelity }))
+    }
+}
+
+/// Whether a value goes with a mode's code.
+const fn has_value(code: u8) -> bool {
+    code & CODER != TRANSFORM && code >> FIDELITY_SHIFT != LOSSLESS
+}
+
+/// M where a hybrid frame does not say.
+pub const M_DEFAULT: u8 = 16;
+
+/// Why bytes are not a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum FrameError {
+    /// The bytes end before the frame does: with more of them it may be one.
+    Incomplete,
+    /// They do not begin with the sync bytes.
+    Sync,
+    /// A version that this code does not read.
+    Version(u8),
+    /// The header's checksum does not match.
+    HeaderDamaged,
+    /// The header's checksum matches but a field is out of its range.
+    HeaderInvalid,
+    /// The CRC-32 does not match that of the frame, of this many bytes.
+    Damaged(u32),
+}
+
+impl core::fmt::Display for FrameError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Incomplete => f.write_str("the frame is cut short"),
+            Self::Sync => f.write_str("no frame begins here"),
+            Self::Version(version) => write!(f, "frame version {version} is not supported"),
+            Self::HeaderDamaged => f.write_str("the frame's header is damaged"),
+            Self::HeaderInvalid => f.write_str("a field of the frame's header is out of range"),
+            Self::Damaged(_) => f.write_str("the frame's CRC does not match"),
+        }
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+/// The output has no room for a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct NoRoom;
+
+impl Header {
+    /// What packing and unpacking need of it.
+    #[must_use]
+    pub const fn packing(&self) -> Packing {
+        Packing {
+            sensor: self.sensor,
+            window_events: self.window_events,
+            transform: self.transform,
+            m: self.m,
+            grid: self.grid,
+            quantiser: self.quantiser,
+        }
+    }
+
+    /// What a hybrid frame's volume is made with where it does not say.
+    const fn default_shape(regime: Regime) -> ShapeWire {
+        let transform = regime.transform();
+        ShapeWire {
+            transform: transform as u8,
+            m: M_DEFAULT,
+            grid: transform.grid_size(M_DEFAULT, None),
+            step_log2: Quantiser::DEFAULT.step_log2(),
+        }
+    }
+
+    /// The least version that can say it.
+    const fn version(&self) -> u8 {
+        if self.begins_run {
+            VERSION
+        } else {
+            VERSION_PLAIN
+        }
+    }
+
+    /// Writes the fields to the start of `out`; their length.
+    fn write(&self, payload_bytes: u32, out: &mut [u8]) -> postcard::Result<usize> {
+        let is_part = self.part > 0 || !self.last || self.events != self.window_events;
+        let counts = CountsWire {
+            late: self.late,
+            filtered: self.filtered,
+            dropped: self.dropped,
+            thinned: self.thinned,
+            saturated: self.saturated,
+        };
+        let has_counts = counts != CountsWire::NONE;
+        let shape = ShapeWire {
+            transform: self.transform as u8,
+            m: self.m,
+            grid: self.grid,
+            step_log2: self.quantiser.step_log2(),
+        };
+        let (code, value) = self.mode.code();
+        let is_transform = self.mode.is_transform();
+        let mut mode = code;
+        if self.mode.is_dense() {
+            mode |= (u8::from(self.is_key) * KEY) | (u8::from(self.has_previous) * PREVIOUS);
+            mode |= match self.scans.map(|scan| scan.readout().axis()) {
+                None => 0,
+                Some(Axis::Columns) => COLUMNS,
+                Some(Axis::Rows) => ROWS,
+            };
+        }
+        let has_shape = is_transform || shape != Self::default_shape(self.regime);
+        let wire = Wire {
+            flags: (u8::from(self.truncated) * TRUNCATED)
+                | (u8::from(self.last) * LAST)
+                | ((self.regime as u8) << REGIME_SHIFT)
+                | (u8::from(is_part) * PART)
+                | (u8::from(has_counts) * COUNTS)
+                | (u8::from(has_shape) * SHAPE)
+                | (u8::from(self.order.is_some()) * ORDER),
+            mode,
+            payload_bytes,
+            sequence: self.sequence,
+            width: self.sensor.width,
+            height: self.sensor.height,
+            t0_us: self.t0_us,
+            duration_us: self.duration_us,
+            window_events: self.window_events,
+        };
+        let part = PartWire {
+            part: self.part,
+            events: self.events,
+        };
+        let mut len = postcard::to_slice(&wire, out)?.len();
+        let mut put = |fields: &dyn Fn(&mut [u8]) -> postcard::Result<usize>| {
+            let rest = out.get_mut(len..).unwrap_or_default();
+            len += fields(rest)?;
+            Ok(())
+        };
+        if is_part {
+            put(&|out| Ok(postcard::to_slice(&part, out)?.len()))?;
+        }
+        if is_transform {
+            put(&|out| Ok(postcard::to_slice(&self.pixels, out)?.len()))?;
+        }
+        if has_counts {
+            put(&|out| Ok(postcard::to_slice(&counts, out)?.len()))?;
+        }
+        if has_shape {
+            put(&|out| Ok(postcard::to_slice(&shape, out)?.len()))?;
+        }
+        if let Some(value) = value {
+            put(&|out| Ok(postcard::to_slice(&value, out)?.len()))?;
+        }
+        if let Some(scan) = self.scans {
+            let scan = ScanWire {
+                period_q16: scan.readout().period_q16(),
+                slope_q16: scan.readout().slope_q16(),
+                phase_q16: scan.phase_q16(),
+            };
+            put(&|out| Ok(postcard::to_slice(&scan, out)?.len()))?;
+        }
+        if let Some(OrderSection { bytes, events }) = self.order {
+            put(&|out| Ok(postcard::to_slice(&bytes, out)?.len()))?;
+            if !self.last {
+                put(&|out| Ok(postcard::to_slice(&events, out)?.len()))?;
+            }
+        }
+        if self.version() == VERSION {
+            let further = u8::from(self.begins_run) * BEGINS_RUN;
+            put(&|out| Ok(postcard::to_slice(&further, out)?.len()))?;
+        }
+        Ok(len)
+    }
+
+    /// The header and the length of its payload; `None` where a field is out of its range, told in a
+    /// way that no encoder has, or bytes are left.
+    fn parse(version: u8, fields: &[u8]) -> Option<(Self, u32)> {
+        fn take<'b, T: Deserialize<'b>>(bytes: &mut &'b [u8]) -> Option<T> {
+            let (fields, rest) = postcard::take_from_bytes(bytes).ok()?;
+            *bytes = rest;
+            Some(fields)
+        }
+        let rest = &mut &*fields;
+        let wire: Wire = take(rest)?;
+        let has = |flag: u8| wire.flags & flag != 0;
+        let regime = Regime::from_code(wire.flags >> REGIME_SHIFT & 3)?;
+        let coder = wire.mode & CODER;
+        let is_transform = coder == TRANSFORM;
+        let mut part = PartWire {
+            part: 0,
+            events: wire.window_events,
+        };
+        if has(PART) {
+            part = take(rest)?;
+            let is_whole = part.part == 0 && has(LAST) && part.events == wire.window_events;
+            if is_whole {
+                return None;
+            }
+        } else if !has(LAST) {
+            return None;
+        }
+        let pixels = if is_transform { take(rest)? } else { 0 };
+        let mut counts = CountsWire::NONE;
+        if has(COUNTS) {
+            counts = take(rest)?;
+            if counts == CountsWire::NONE {
+                return None;
+            }
+        }
+        let mut shape = Self::default_shape(regime);
+        if has(SHAPE) {
+            let told = take(rest)?;
+            if !is_transform && told == shape {
+                return None;
+            }
+            shape = told;
+        } else if is_transform {
+            return None;
+        }
+        let chained = wire.mode & (KEY | PREVIOUS | COLUMNS | ROWS);
+        let code = wire.mode ^ chained;
+        let allowed = match (coder, code) {
+            (DENSE, _) => KEY | PREVIOUS | COLUMNS | ROWS,
+            (_, COEFFICIENTS_DENSE) => KEY | PREVIOUS,
+            _ => 0,
+        };
+        if chained & !allowed != 0 {
+            return None;
+        }
+        let value = if has_value(code) {
+            Some(take(rest)?)
+        } else {
+            None
+        };
+        let mode = Mode::from_code(code, value.unwrap_or(0))?;
+        let sensor = Sensor::new(wire.width, wire.height)?;
+        let axis = match chained & (COLUMNS | ROWS) {
+            0 => None,
+            COLUMNS => Some(Axis::Columns),
+            ROWS => Some(Axis::Rows),
+            _ => return None,
+        };
+        let scan = match axis {
+            None => None,
+            // Other fidelities tell times as cells.
+            Some(_) if has_value(code) => return None,
+            Some(axis) => {
+                let told: ScanWire = take(rest)?;
+                let readout = Readout::new(axis, told.period_q16, told.slope_q16)?;
+                Some(Scans::new(
+                    readout,
+                    told.phase_q16,
+                    sensor,
+                    wire.duration_us,
+                )?)
+            }
+        };
+        let order = if has(ORDER) {
+            let bytes = take(rest)?;
+            let events = if has(LAST) { 0 } else { take(rest)? };
+            // A frame in between tells of some.
+            if is_transform
+                || bytes > wire.payload_bytes
+                || (!has(LAST) && !(1..wire.window_events).contains(&events))
+            {
+                return None;
+            }
+            Some(OrderSection { bytes, events })
+        } else {
+            None
+        };
+        // A frame without further flags has the other version.
+        let further = if version == VERSION { take(rest)? } else { 0 };
+        let is_known = further == if version == VERSION { BEGINS_RUN } else { 0 };
+        if !is_known || !rest.is_empty() {
+            return None;
+        }
+        let transform = Transform::from_code(shape.transform)?;
+        let header = Self {
+            truncated: has(TRUNCATED),
+            begins_run: further & BEGINS_RUN != 0,
+            last: has(LAST),
+            regime,
+            mode,
+            is_key: allowed == 0 || chained & KEY != 0,
+            has_previous: chained & PREVIOUS != 0,
+            scans: scan,
+            order,
+            sequence: wire.sequence,
+            part: part.part,
+            sensor,
+            t0_us: wire.t0_us,
+            duration_us: wire.duration_us,
+            window_events: wire.window_events,
+            events: part.events,
+            pixels,
+            late: counts.late,
+            filtered: counts.filtered,
+            dropped: counts.dropped,
+            thinned: counts.thinned,
+            saturated: counts.saturated,
+            transform,
+            m: shape.m,
+            grid: shape.grid,
+            quantiser: Quantiser::new(shape.step_log2)?,
+        };
+        let grid_fits = usize::from(header.grid) <= GRID_MAX
+            && header.grid > 0
+            && (transform != Transform::Dwt || header.grid.is_power_of_two());
+        let m_fits = header.m > 0 && usize::from(header.m) <= M_MAX;
+        let counts_fit = header.window_events as usize <= EVENTS_MAX
+            && header.events <= header.window_events
+            && header.pixels <= header.events.min(sensor.pixels())
+            && (!is_transform || (header.pixels > 0) == (header.events > 0));
+        let fits = grid_fits && m_fits && counts_fit && header.duration_us > 0;
+        fits.then_some((header, wire.payload_bytes))
+    }
+}
+
+/// Completes a frame whose payload lies in `out[HEADER_BYTES_MAX..][..payload_bytes]`.
+///
+/// The header is laid right before the payload, whatever its length, so that nothing moves.
+/// Returns the range of the frame within `out`.
+///
+/// # Errors
+/// [`NoRoom`] where `out` does not hold the payload and a CRC, or the frame would exceed
+/// [`FRAME_BYTES_MAX`].
+pub fn seal(
+    header: &Header,
+    payload_bytes: usize,
+    out: &mut [u8],
+) -> Result<core::ops::Range<usize>, NoRoom> {
+    let crc_at = HEADER_BYTES_MAX.checked_add(payload_bytes).ok_or(NoRoom)?;
+    if crc_at > FRAME_BYTES_MAX - CRC_BYTES {
+        return Err(NoRoom);
+    }
+    let (frame, after) = out.split_at_mut_checked(crc_at).ok_or(NoRoom)?;
+    let frame_crc = after.first_chunk_mut::<CRC_BYTES>().ok_or(NoRoom)?;
+
+    let mut header_bytes = [0; HEADER_BYTES_MAX];
+    let (prefix, fields) = header_bytes
+        .split_first_chunk_mut::<PREFIX_BYTES>()
+        .ok_or(NoRoom)?;
+    // FIELDS_BYTES_MAX fits: there is always room.
+    let fields = header
+        .write(payload_bytes as u32, fields)
+        .map_err(|_| NoRoom)?;
+    let length = PREFIX_BYTES + fields + 2;
+    *prefix = [SYNC[0], SYNC[1], header.version(), length as u8];
+    let (checked, after) = header_bytes
+        .split_at_mut_checked(PREFIX_BYTES + fields)
+        .ok_or(NoRoom)?;
+    *after.first_chunk_mut().ok_or(NoRoom)? = CRC_16.checksum(checked).to_le_bytes();
+
+    let start = HEADER_BYTES_MAX.checked_sub(length).ok_or(NoRoom)?;
+    let frame = frame.get_mut(start..).ok_or(NoRoom)?;
+    let (to, from) = (frame.get_mut(..length), header_bytes.get(..length));
+    to.ok_or(NoRoom)?.copy_from_slice(from.ok_or(NoRoom)?);
+    *frame_crc = crc_32(frame).to_le_bytes();
+    Ok(start..crc_at + CRC_BYTES)
+}
+
+/// A whole, undamaged frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Frame<'i> {
+    /// Its header.
+    pub header: Header,
+    /// Its packed pixels, or events and order.
+    pub payload: &'i [u8],
+    /// Its length, sync to CRC-32.
+    pub bytes: usize,
+}
+
+impl<'i> Frame<'i> {
+    /// The frame at the start of `bytes`.
+    ///
+    /// # Errors
+    /// [`FrameError`]; [`FrameError::Incomplete`] asks for at most [`FRAME_BYTES_MAX`] bytes in
+    /// all. No input makes it panic.
+    pub fn parse(bytes: &'i [u8]) -> Result<Self, FrameError> {
+        let prefix = bytes.len().min(SYNC.len());
+        if bytes[..prefix] != SYNC[..prefix] {
+            return Err(FrameError::Sync);
+        }
+        let [_, _, version, header_bytes, ..] = *bytes else {
+            return Err(FrameError::Incomplete);
+        };
+        if !matches!(version, VERSION_PLAIN | VERSION) {
+            return Err(FrameError::Version(version));
+        }
+        let header_bytes = usize::from(header_bytes);
+        if !(PREFIX_BYTES + 2..=HEADER_BYTES_MAX).contains(&header_bytes) {
+            return Err(FrameError::HeaderDamaged);
+        }
+        let header = bytes.get(..header_bytes).ok_or(FrameError::Incomplete)?;
+        let (fields, crc) = header.split_at(header_bytes - 2);
+        if CRC_16.checksum(fields).to_le_bytes() != *crc {
+            return Err(FrameError::HeaderDamaged);
+        }
+        let (header, payload_bytes) =
+            Header::parse(version, &fields[PREFIX_BYTES..]).ok_or(FrameError::HeaderInvalid)?;
+        let payload_bytes = payload_bytes as usize;
+        // Before the sum below, which would overflow where usize has 32 bits.
+        if payload_bytes > FRAME_BYTES_MAX - header_bytes - CRC_BYTES {
+            return Err(FrameError::HeaderInvalid);
+        }
+        let crc_at = header_bytes + payload_bytes;
+        let end = crc_at + CRC_BYTES;
+        let frame = bytes.get(..end).ok_or(FrameError::Incomplete)?;
+        if crc_32(&frame[..crc_at]).to_le_bytes() != frame[crc_at..] {
+            return Err(FrameError::Damaged(end as u32));
+        }
+        Ok(Self {
+            header,
+            payload: &frame[header_bytes..crc_at],
+            bytes: end,
+        })
+    }
+
+    /// What its payload has of the events, and of their order.
+    #[must_use]
+    pub fn sections(&self) -> (&'i [u8], &'i [u8]) {
+        let order = self.header.order.map_or(0, |order| order.bytes as usize);
+        let events = self.payload.len().saturating_sub(order);
+        self.payload
+            .split_at_checked(events)
+            .unwrap_or((self.payload, &[]))
+    }
+
+    /// Its pixels, in raster order.
+    #[must_use]
+    pub const fn descriptors(&self) -> Descriptors<'i> {
+        Descriptors {
+            packing: self.header.packing(),
+            reader: BitReader::new(self.payload),
+            next_index: 0,
+            pixels_left: self.header.pixels,
+            events_left: self.header.events,
+            failed: false,
+        }
+    }
+}
+
+/// Unpacks a frame pixel by pixel. After an error it ends.
+#[derive(Debug, Clone)]
+pub struct Descriptors<'i> {
+    packing: Packing,
+    reader: BitReader<'i>,
+    next_index: u32,
+    pixels_left: u32,
+    events_left: u32,
+    failed: bool,
+}
+
+impl Descriptors<'_> {
+    fn unpack(&mut self) -> Result<Option<Descriptor>, UnpackError> {
+        if self.pixels_left == 0 {
+            return if self.events_left > 0 {
+                Err(UnpackError::Events)
+            } else if self.reader.is_spent() {
+                Ok(None)
+            } else {
+                Err(UnpackError::Trailing)
+            };
+        }
+        let descriptor =
+            self.packing
+                .unpack(&mut self.next_index, self.events_left, &mut self.reader)?;
+        self.pixels_left -= 1;
+        self.events_left -= descriptor.events();
+        Ok(Some(descriptor))
+    }
+}
+
+impl Iterator for Descriptors<'_> {
+    type Item = Result<Descriptor, UnpackError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.failed {
+            return None;
+        }
+        let unpacked = self.unpack();
+        self.failed = !matches!(unpacked, Ok(Some(_)));
+        unpacked.transpose()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_longest_header_has_room() {
+        let header = Header {
+            truncated: true,
+            begins_run: true,
+            last: false,
+            regime: Regime::Dense,
+            mode: Mode::Hybrid(Hybrid {
+                coder: Coder::Dense,
+                fidelity: Fidelity::ToleranceUs(u32::MAX),
+            }),
+            is_key: true,
+            has_previous: true,
+            scans: None,
+            order: Some(OrderSection {
+                bytes: u32::MAX,
+                events: u32::MAX,
+            }),
+            sequence: u32::MAX,
+            part: u32::MAX,
+            sensor: Sensor {
+                width: u16::MAX,
+                height: u16::MAX,
+            },
+            t0_us: u64::MAX,
+            duration_us: u32::MAX,
+            window_events: u32::MAX,
+            events: u32::MAX,
+            pixels: u32::MAX,
+            late: u32::MAX,
+            filtered: u32::MAX,
+            dropped: u32::MAX,
+            thinned: u32::MAX,
+            saturated: u32::MAX,
+            transform: Transform::Dwt,
+            m: u8::MAX,
+            grid: u16::MAX,
+            quantiser: Quantiser::DEFAULT,
+        };
+        let mut bytes = [0; 2 * HEADER_BYTES_MAX];
+        // A transform's number of pixels takes no more than a tolerance.
+        for mode in [header.mode, Mode::Transform] {
+            let header = Header { mode, ..header };
+            assert!(header.write(u32::MAX, &mut bytes).unwrap() <= FIELDS_BYTES_MAX);
+        }
+        // Scans take more.
+        let readout = Readout::new(Axis::Columns, 250 << 16, -(125 << 16)).unwrap();
+        let sensor = Sensor::new(2048, 1).unwrap();
+        let scan = Scans::new(readout, i32::MIN, sensor, 1).unwrap();
+        let hybrid = Hybrid {
+            coder: Coder::Dense,
+            fidelity: Fidelity::Lossless,
+        };
+        let header = Header {
+            mode: Mode::Hybrid(hybrid),
+            scans: Some(scan),
+            ..header
+        };
+        assert!(header.write(u32::MAX, &mut bytes).unwrap() <= FIELDS_BYTES_MAX);
+    }
+}

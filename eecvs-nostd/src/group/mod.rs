@@ -1,0 +1,313 @@
+//! Groups a closed window's events by pixel, in raster order, without an array of the sensor's
+//! size.
+//!
+//! The window holds a list per segment of 32 columns. One segment at a time is dealt into 32
+//! column lists; since the segment's list is newest first, each column's comes out oldest first.
+
+#[cfg(eecvs_dsp)]
+pub(crate) mod armv7em;
+pub mod lists;
+pub(crate) mod sort;
+
+use core::mem;
+use core::num::NonZeroU32;
+
+use crate::transform::Impulse;
+use crate::window::{FIRST, Head, NO_SLOT, SEGMENT_PIXELS, Slot, Window, index};
+
+/// A pixel with events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Pixel {
+    /// Column.
+    pub x: u16,
+    /// Row.
+    pub y: u16,
+    /// ON events.
+    pub on: u32,
+    /// OFF events.
+    pub off: u32,
+    /// Slot of its first event.
+    pub(crate) head: u32,
+}
+
+/// The walk over a window's pixels.
+#[derive(Debug)]
+pub struct Group {
+    pub(crate) cursor: usize,
+    /// First of the 32 segments at hand.
+    pub(crate) first_segment: u32,
+    /// Those of them still to be visited.
+    pub(crate) segments: u32,
+    pub(crate) segment_x: u16,
+    pub(crate) segment_y: u16,
+    /// Columns of the current segment still to be visited.
+    pub(crate) columns: u32,
+    /// [`Entry::EMPTY`] where `columns` has no bit.
+    pub(crate) entries: [Entry; 32],
+    /// The segment after that, and its list: on a large sensor both come from far away, and a host
+    /// asks for them before it needs them.
+    #[cfg(target_pointer_width = "64")]
+    ahead: Option<(u32, u32)>,
+}
+
+/// A column of a segment.
+#[derive(Debug, Clone, Copy)]
+#[repr(C)]
+pub(crate) struct Entry {
+    /// First event, or a slot that no buffer has.
+    pub(crate) head: u32,
+    /// Its events.
+    pub(crate) tally: Tally,
+}
+
+impl Entry {
+    const EMPTY: Self = Self {
+        head: NO_SLOT,
+        tally: 0,
+    };
+}
+
+/// Events in the upper half, those that are ON in the lower: no more than a window has slots.
+#[cfg(all(target_os = "none", target_pointer_width = "32"))]
+pub(crate) type Tally = u32;
+#[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
+pub(crate) type Tally = u64;
+/// One event.
+const EVENT: Tally = 1 << Head::BITS;
+const _: () = assert!(Tally::BITS == 2 * Head::BITS);
+
+impl Group {
+    /// A walk that has not started.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            cursor: 0,
+            first_segment: 0,
+            segments: 0,
+            segment_x: 0,
+            segment_y: 0,
+            columns: 0,
+            entries: [Entry::EMPTY; 32],
+            #[cfg(target_pointer_width = "64")]
+            ahead: None,
+        }
+    }
+
+    /// Starts over, for the next window.
+    pub const fn restart(&mut self) {
+        *self = Self::new();
+    }
+
+    /// The next pixel; `None` after the last.
+    ///
+    /// In place on a host: numbers that are stored one by one and loaded as one stall it.
+    #[cfg_attr(target_pointer_width = "64", inline(always))]
+    #[cfg_attr(not(target_pointer_width = "64"), inline)]
+    pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
+        let columns = match NonZeroU32::new(self.columns) {
+            Some(columns) => columns,
+            None => self.next_segment_apart::<true>(window)?,
+        };
+        let column = columns.trailing_zeros();
+        self.columns = columns.get() & (columns.get() - 1);
+        let entry = &mut self.entries[column as usize % 32];
+        let Entry { head, tally } = mem::replace(entry, Entry::EMPTY);
+        let on = index(tally as Head);
+        Some(Pixel {
+            x: self.segment_x + column as u16,
+            y: self.segment_y,
+            on,
+            off: index((tally >> Head::BITS) as Head) - on,
+            head,
+        })
+    }
+
+    /// As [`Self::next`], for a window of which no event is counted: the pixels have 0 of each.
+    #[inline]
+    pub(crate) fn next_uncounted(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
+        let columns = match NonZeroU32::new(self.columns) {
+            Some(columns) => columns,
+            None => self.next_segment_apart::<false>(window)?,
+        };
+        let column = columns.trailing_zeros();
+        self.columns = columns.get() & (columns.get() - 1);
+        let head = &mut self.entries[column as usize % 32].head;
+        Some(Pixel {
+            x: self.segment_x + column as u16,
+            y: self.segment_y,
+            on: 0,
+            off: 0,
+            head: mem::replace(head, NO_SLOT),
+        })
+    }
+
+    /// Position of the next pixel, which [`Self::next`] will give.
+    #[inline]
+    pub fn peek(&mut self, window: &mut Window<'_>) -> Option<(u16, u16)> {
+        if self.columns == 0 {
+            self.columns = self.next_segment_apart::<true>(window)?.get();
+        }
+        let column = self.columns.trailing_zeros() as u16;
+        Some((self.segment_x + column, self.segment_y))
+    }
+
+    /// Whether the next pixel is in row `y`.
+    pub(crate) fn is_next_in_row(&mut self, window: &mut Window<'_>, y: u16) -> bool {
+        self.peek(window).is_some_and(|(_, row)| row == y)
+    }
+
+    /// Whether the next pixel is in a segment of row `y`.
+    pub(crate) fn is_next_in_segment(
+        &mut self,
+        window: &mut Window<'_>,
+        (segment, y): (u16, u16),
+    ) -> bool {
+        let next = self.peek(window);
+        next.is_some_and(|(x, row)| (x / SEGMENT_PIXELS, row) == (segment, y))
+    }
+
+    /// Makes the pixel that [`Self::next`] gave last the next one again.
+    pub const fn put_back(&mut self, pixel: Pixel) {
+        let i = (pixel.x % SEGMENT_PIXELS) as usize;
+        self.columns |= 1 << i;
+        self.entries[i] = Entry {
+            head: pixel.head,
+            tally: (pixel.on + pixel.off) as Tally * EVENT + pixel.on as Tally,
+        };
+    }
+
+    /// Takes the columns of the segment at hand that are still to be visited or, where there are none,
+    /// of the next one, for a walk in assembly to visit; 0 after the last.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn enter(&mut self, window: &mut Window<'_>) -> u32 {
+        match mem::take(&mut self.columns) {
+            0 => self
+                .next_segment_apart::<true>(window)
+                .map_or(0, NonZeroU32::get),
+            columns => columns,
+        }
+    }
+
+    #[inline(never)]
+    fn next_segment_apart<const COUNTS: bool>(
+        &mut self,
+        window: &mut Window<'_>,
+    ) -> Option<NonZeroU32> {
+        self.next_segment::<COUNTS>(window)
+    }
+
+    /// Goes to the next segment and returns its columns.
+    #[inline(always)]
+    fn next_segment<const COUNTS: bool>(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
+        #[cfg(target_pointer_width = "64")]
+        let (segment, head) = {
+            let here = match self.ahead {
+                Some(here) => here,
+                None => self.take_segment(window)?,
+            };
+            self.ahead = self.take_segment(window);
+            here
+        };
+        #[cfg(not(target_pointer_width = "64"))]
+        let (segment, head) = self.take_segment(window)?;
+        (self.segment_x, self.segment_y) = window.segment_origin(segment);
+        NonZeroU32::new(self.deal::<COUNTS>(head, window.slots()))
+    }
+
+    /// The next segment that has events, and its list.
+    #[inline(always)]
+    pub(crate) fn take_segment(&mut self, window: &mut Window<'_>) -> Option<(u32, u32)> {
+        if self.segments == 0 {
+            (self.first_segment, self.segments) = window.take_segments(&mut self.cursor)?;
+        }
+        let segment = self.first_segment + self.segments.leading_zeros();
+        self.segments ^= FIRST.rotate_right(segment);
+        Some((segment, window.take_head(segment)))
+    }
+
+    /// Turns a segment's list into one for each column; returns the columns.
+    #[inline(always)]
+    fn deal<const COUNTS: bool>(&mut self, mut head: u32, slots: &mut [Slot]) -> u32 {
+        let mut columns = 0;
+        // The end of a list is a slot that no buffer has.
+        while let Some(slot) = slots.get_mut(head as usize) {
+            let column = slot.column();
+            columns |= 1 << column;
+            let entry = &mut self.entries[column as usize];
+            if COUNTS {
+                entry.tally += EVENT + Tally::from(slot.sign());
+            }
+            let first = mem::replace(&mut entry.head, head);
+            head = slot.next();
+            *slot = slot.with_next(first);
+        }
+        columns
+    }
+}
+
+impl Default for Group {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A pixel's events, oldest first.
+///
+/// `next` and what it links are slots that are there, or the end of the list.
+#[derive(Debug, Clone)]
+pub struct Impulses<'s> {
+    slots: &'s [Slot],
+    next: u32,
+}
+
+impl<'s> Impulses<'s> {
+    /// The events of `pixel`, which a group has made of these slots.
+    #[inline(always)]
+    #[must_use]
+    pub(crate) const fn new(pixel: Pixel, slots: &'s [Slot]) -> Self {
+        Self::from_slot(slots, pixel.head)
+    }
+
+    /// The events from the slot `next` on, of a list in `slots`.
+    #[inline(always)]
+    pub(crate) const fn from_slot(slots: &'s [Slot], next: u32) -> Self {
+        Self { slots, next }
+    }
+
+    /// Whether there is none.
+    #[inline(always)]
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.next as usize >= self.slots.len()
+    }
+
+    /// The slots, and which of them is next.
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    pub(crate) const fn parts(&self) -> (&'s [Slot], u32) {
+        (self.slots, self.next)
+    }
+
+    /// Those from the slot `next` on, which is one of theirs, or the end.
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    pub(crate) const fn after(&self, next: u32) -> Self {
+        Self::from_slot(self.slots, next)
+    }
+}
+
+impl Iterator for Impulses<'_> {
+    type Item = Impulse;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<Impulse> {
+        // The end of the list is a slot that no buffer has.
+        let slot = self.slots.get(self.next as usize)?;
+        self.next = slot.next();
+        Some(Impulse {
+            offset_us: slot.offset_us(),
+            is_on: slot.is_on(),
+        })
+    }
+}

@@ -1,0 +1,614 @@
+//! Descriptors to bits: the payload of a frame. [`crate::pack::unpack`] is its inverse.
+
+#[cfg(eecvs_dsp)]
+pub(crate) mod code_tables_armv7em;
+#[cfg(eecvs_dsp)]
+mod seven_armv7em;
+#[cfg(target_arch = "x86_64")]
+mod x86_64;
+
+#[cfg(not(target_arch = "x86_64"))]
+use crate::accumulate::dct8::Cosines;
+use crate::accumulate::haar_bytes::Lanes;
+use crate::pack::bits_lsb_first::{BitWriter, Full, exp_golomb};
+use crate::pack::descriptor::{Coded, Descriptor};
+use crate::prune::Kept;
+use crate::quantise::{Levels, highest_bits, side_by_side};
+use crate::transform::shape::{MASK_GRID_MAX, Packing, width_of};
+use crate::transform::{M_MAX, Rule, Transform};
+
+impl Packing {
+    /// What packs the pixels of a frame, from its first.
+    #[must_use]
+    pub fn packer(&self) -> Packer {
+        Packer {
+            packing: *self,
+            gap: GapCode::new(self.gap_order()),
+            width: u32::from(self.sensor.width),
+            cells_log2: self.cells_log2(),
+            one_bits: self.level_bits_max(1),
+            shift: self.quantiser.shift(),
+        }
+    }
+
+    /// Appends `descriptor`, of which a single event has a cell and several have levels;
+    /// `next_index` is the raster index after the previous pixel's.
+    ///
+    /// # Errors
+    /// [`Full`], with the writer to be rewound by the caller.
+    pub fn pack(
+        &self,
+        descriptor: &Descriptor,
+        next_index: &mut u32,
+        writer: &mut BitWriter<'_>,
+    ) -> Result<(), Full> {
+        let mut packer = self.packer();
+        packer.gap.go_to(*next_index);
+        packer.pack(descriptor, writer);
+        *next_index = packer.gap.next_index();
+        if writer.is_full() { Err(Full) } else { Ok(()) }
+    }
+}
+
+/// Packs pixel after pixel: [`Self::place`], then what the transform sends of it.
+///
+/// Nothing is an error here: ask the writer whether it [`BitWriter::is_full`] after each pixel.
+#[derive(Debug, Clone, Copy)]
+#[repr(C)]
+pub struct Packer {
+    pub(crate) gap: GapCode,
+    /// Bits of a level of one event.
+    pub(crate) one_bits: u32,
+    /// [`Quantiser::shift`](crate::quantise::Quantiser::shift) for the sums of
+    /// [`rows`](crate::accumulate::dct8).
+    pub(crate) shift: u32,
+    /// Columns of the sensor.
+    pub(crate) width: u32,
+    /// [`Packing::cells_log2`]
+    cells_log2: u32,
+    pub(crate) packing: Packing,
+}
+
+/// From the pixel before to the next, as an Exp-Golomb code: [`exp_golomb`] with what follows from
+/// its order g at hand.
+#[derive(Debug, Clone, Copy)]
+#[repr(C)]
+pub(crate) struct GapCode {
+    /// Raster index after the previous pixel's, less 2^g.
+    pub(crate) before: u32,
+    /// 2^g - 1
+    less: u32,
+    /// 31 - g
+    zeros_max: u32,
+    /// 63 - g
+    bits_max: u32,
+}
+
+impl GapCode {
+    const fn new(order: u32) -> Self {
+        let less = (1 << (order & 31)) - 1;
+        Self {
+            before: 0_u32.wrapping_sub(1 + less),
+            less,
+            zeros_max: 31_u32.wrapping_sub(order),
+            bits_max: 63_u32.wrapping_sub(order),
+        }
+    }
+
+    const fn order(&self) -> u32 {
+        31_u32.wrapping_sub(self.zeros_max)
+    }
+
+    const fn next_index(&self) -> u32 {
+        self.before.wrapping_add(1 + self.less)
+    }
+
+    const fn go_to(&mut self, next_index: u32) {
+        self.before = next_index.wrapping_sub(1 + self.less);
+    }
+
+    /// Goes to the pixel at `index`; returns the gap plus 2^g.
+    #[inline(always)]
+    const fn step(&mut self, index: u32) -> u32 {
+        let shifted = index.wrapping_sub(self.before);
+        self.before = index.wrapping_sub(self.less);
+        shifted
+    }
+
+    /// The code of what [`Self::step`] gave, a 1 right above it, and its bits; the code holds where
+    /// they are below 32.
+    #[inline(always)]
+    const fn code(&self, shifted: u32) -> (u32, u32) {
+        let zeros = shifted.leading_zeros();
+        let code = ((shifted << 1) + 1) << (self.zeros_max.wrapping_sub(zeros) & 31);
+        (code, self.bits_max.wrapping_sub(2 * zeros))
+    }
+
+    /// Puts it whatever its length.
+    fn put(&self, shifted: u32, writer: &mut BitWriter<'_>) {
+        writer.put_exp_golomb(shifted.wrapping_sub(1 + self.less), self.order());
+    }
+}
+
+impl Packer {
+    /// Where a pixel is and what it counts. Pixels come in raster order.
+    #[inline(always)]
+    pub fn place(&mut self, (x, y): (u16, u16), counts: (u32, u32), writer: &mut BitWriter<'_>) {
+        let index = u32::from(y) * self.width + u32::from(x);
+        let (code, bits) = self.place_code(index, counts, writer);
+        writer.put_clean(code, bits);
+    }
+
+    /// What [`Self::place`] puts and how many bits, 31 at the most; nothing where these do not hold
+    /// it and it has been put.
+    #[inline(always)]
+    pub(crate) fn place_code(
+        &mut self,
+        index: u32,
+        (on, off): (u32, u32),
+        writer: &mut BitWriter<'_>,
+    ) -> (u32, u32) {
+        let shifted = self.gap.step(index);
+        let (gap_code, gap_bits) = self.gap.code(shifted);
+        let events = on + off;
+        let (counts, counts_bits) = exp_golomb(events.wrapping_sub(1), 0);
+        let on_bits = width_of(events);
+        let before_on = gap_bits + counts_bits;
+        let bits = before_on + on_bits;
+        if bits < 32 {
+            // The 1 above each code is taken off the number that follows it.
+            let code = gap_code
+                .wrapping_add(counts.wrapping_sub(1) << (gap_bits & 31))
+                .wrapping_add(on.wrapping_sub(1) << (before_on & 31));
+            (code, bits)
+        } else {
+            let gap = self.gap;
+            writer.aside(|writer| place_long((gap, shifted), (on, events), writer));
+            (0, 0)
+        }
+    }
+
+    /// The levels of a pixel of `events`, 2 or more.
+    #[inline(always)]
+    pub fn levels(&self, events: u32, levels: &Levels<'_>, writer: &mut BitWriter<'_>) {
+        let spread = levels.spread();
+        let levels = levels.as_slice();
+        if levels.is_empty() {
+            return;
+        }
+        let most = self.packing.level_bits_max(events);
+        put_levels(most, levels, spread, writer);
+    }
+
+    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events, whole: its place
+    /// and the levels of its sums. The output has room for it.
+    #[cfg(not(target_arch = "x86_64"))]
+    #[inline(always)]
+    pub fn seven(
+        &mut self,
+        (x, y): (u16, u16),
+        counts: (u32, u32),
+        cosines: &Cosines,
+        writer: &mut BitWriter<'_>,
+    ) {
+        let index = u32::from(y) * self.width + u32::from(x);
+        #[cfg(eecvs_dsp)]
+        if seven_armv7em::put(self, index, counts, cosines, writer) {
+            return;
+        }
+        self.seven_portable(index, counts, (cosines.sums(), cosines.spread()), writer);
+    }
+
+    /// The same for a raster index.
+    #[cfg(not(target_arch = "x86_64"))]
+    #[cfg_attr(eecvs_dsp, cold)]
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    fn seven_portable(
+        &mut self,
+        index: u32,
+        (on, off): (u32, u32),
+        (sums, spread): (&[i32; 7], u32),
+        writer: &mut BitWriter<'_>,
+    ) {
+        writer.aside(|writer| {
+            let (code, code_bits) = self.place_code(index, (on, off), writer);
+            let shift = self.shift & 31;
+            let levels = sums.map(|sum| (sum >> shift) as u32);
+            // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
+            let most = width_of((on + off).wrapping_sub(1)) + self.one_bits;
+            let bits = width_of(spread >> shift) + 1;
+            let width_bits = most - bits + 1;
+            if bits > 8 || code_bits + width_bits > 32 {
+                writer.put_clean(code, code_bits);
+                return put_levels(most, &levels, spread >> shift, writer);
+            }
+            let width = 1 << ((code_bits + width_bits - 1) & 31);
+            writer.put_here(code | width, code_bits + width_bits);
+            let [a, b, c, rest @ ..] = levels;
+            let highest = highest_bits::<4>(bits);
+            let three = side_by_side([a, b, c], bits, highest >> bits);
+            writer.put_here(three, 3 * bits);
+            writer.put_here(side_by_side(rest, bits, highest), 4 * bits);
+        });
+    }
+
+    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events, whole, whose Haar
+    /// differences are bytes: its place, the set of those in `kept`, and their levels, of which no
+    /// other lane has any. The output has room for it.
+    #[inline(always)]
+    pub(crate) fn bytes<const W: usize>(
+        &mut self,
+        (x, y): (u16, u16),
+        (on, off): (u32, u32),
+        (kept, levels, spread): (u32, Lanes<W>, u32),
+        writer: &mut BitWriter<'_>,
+    ) {
+        let index = u32::from(y) * self.width + u32::from(x);
+        self.bytes_at(index, (on, off), (kept, levels, spread), writer);
+    }
+
+    /// The same for a raster index.
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    pub(crate) fn bytes_at<const W: usize>(
+        &mut self,
+        index: u32,
+        (on, off): (u32, u32),
+        (kept, levels, spread): (u32, Lanes<W>, u32),
+        writer: &mut BitWriter<'_>,
+    ) {
+        let grid = u32::from(self.packing.grid);
+        writer.aside(|writer| {
+            let (code, code_bits) = self.place_code(index, (on, off), writer);
+            if code_bits + grid <= 32 {
+                writer.put_here(code | (kept << (code_bits & 31)), code_bits + grid);
+            } else {
+                writer.put_clean(code, code_bits);
+                writer.put_clean(kept, grid);
+            }
+            let mut left = kept & !1;
+            if left == 0 {
+                return;
+            }
+            let bits = width_of(spread) + 1;
+            // Up to n events in a lane of bytes: 7 bits are the widest level.
+            let narrower = width_of((on + off).wrapping_sub(1)) + 1 - bits;
+            let (mut word, mut word_bits) = (1 << (narrower & 31), narrower + 1);
+            let bytes = levels.into_bytes();
+            let bytes = bytes.as_flattened();
+            let mask = !(u32::MAX << (bits & 31));
+            while left != 0 {
+                let k = left.trailing_zeros() as usize;
+                left &= left - 1;
+                if word_bits + bits > 32 {
+                    writer.put_here(word, word_bits);
+                    (word, word_bits) = (0, 0);
+                }
+                let byte = u32::from(bytes[k % (4 * W)]);
+                word |= (byte & mask) << (word_bits & 31);
+                word_bits += bits;
+            }
+            writer.put_here(word, word_bits);
+        });
+    }
+
+    /// [`Self::place`], one for all that are in no hurry.
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    pub(crate) fn place_apart(
+        &mut self,
+        position: (u16, u16),
+        counts: (u32, u32),
+        writer: &mut BitWriter<'_>,
+    ) {
+        self.place(position, counts, writer);
+    }
+
+    /// Which coefficients are sent, for the transforms that keep the largest.
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    pub fn set(&self, kept: &Kept, writer: &mut BitWriter<'_>) {
+        let grid = usize::from(self.packing.grid);
+        let words = kept.words(grid);
+        let first = words.first().copied().unwrap_or(0);
+        if self.packing.transform.is_complex() {
+            let r = self.packing.kept() as u32;
+            if r as usize == grid {
+                return;
+            }
+            if is_low(kept, grid, r) {
+                return writer.put(1, 1);
+            }
+            writer.put(0, 1);
+        }
+        if self.packing.grid <= MASK_GRID_MAX {
+            return writer.put(first, u32::from(self.packing.grid));
+        }
+        let count = kept.count(grid);
+        if !self.packing.transform.is_complex() {
+            writer.put(count, width_of(self.packing.kept() as u32));
+        }
+        if self.packing.lists_indices(count) {
+            kept.for_each(grid, |k| writer.put(k as u32, self.packing.index_bits()));
+        } else {
+            for (index, word) in words.iter().enumerate() {
+                writer.put(*word, (grid - 32 * index).min(32) as u32);
+            }
+        }
+    }
+
+    /// A pixel with a single event, whole: `cell` tells `cells_log2` bits of its u.
+    #[inline(always)]
+    pub fn single(
+        &mut self,
+        (x, y): (u16, u16),
+        is_on: bool,
+        cell: u32,
+        writer: &mut BitWriter<'_>,
+    ) {
+        let shifted = self.gap.step(u32::from(y) * self.width + u32::from(x));
+        let (gap_code, gap_bits) = self.gap.code(shifted);
+        let cells_log2 = self.cells_log2;
+        // n - 1 = 0 is a one, and `on` a bit.
+        let bits = gap_bits + 2 + cells_log2;
+        if bits < 32 {
+            // The 1 above the gap's code is that of n.
+            let rest = (u32::from(is_on) + (cell << 1)) << ((gap_bits + 1) & 31);
+            writer.put_here(gap_code + rest, bits);
+        } else {
+            let gap = self.gap;
+            single_long((gap, shifted), is_on, (cell, cells_log2), writer);
+        }
+    }
+
+    /// The same of a pixel whose gap plus 2^g is `shifted`, where `rest` holds polarity and cell. The
+    /// gap after it is not counted from there before [`Self::go_to`].
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn single_after(&self, shifted: u32, rest: u32, writer: &mut BitWriter<'_>) {
+        let cell = (rest >> 1, self.cells_log2);
+        single_long((self.gap, shifted), rest & 1 == 1, cell, writer);
+    }
+
+    /// The same where `before` is what the gap's code comes to: the next gap is counted from there.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn single_to(&mut self, before: u32, rest: u32, writer: &mut BitWriter<'_>) {
+        let shifted = self.gap.step(before.wrapping_add(self.gap.less));
+        self.single_after(shifted, rest, writer);
+    }
+
+    /// [`Self::seven`], as [`Self::single_after`].
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn seven_after(
+        &mut self,
+        shifted: u32,
+        counts: (u32, u32),
+        sums: &[i32; 7],
+        writer: &mut BitWriter<'_>,
+    ) {
+        self.gap.before = 0;
+        let spread = crate::accumulate::dct8::spread(sums);
+        self.seven_portable(shifted, counts, (sums, spread), writer);
+    }
+
+    /// The next gap is counted from `next_index`.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn go_to(&mut self, next_index: u32) {
+        self.gap.go_to(next_index);
+    }
+
+    /// Order of the gap code, and where the next gap is counted from.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn gap_parts(&self) -> (u32, u32) {
+        (self.gap.order(), self.gap.next_index())
+    }
+
+    /// What brings sums of [`dct8`](crate::accumulate::dct8) to levels; bits of a level of one event.
+    #[cfg(eecvs_dsp)]
+    pub(crate) const fn level_parts(&self) -> (u32, u32) {
+        (self.shift, self.one_bits)
+    }
+
+    /// Goes to a pixel; returns its gap plus 2^g.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn step(&mut self, (x, y): (u16, u16)) -> u32 {
+        self.gap.step(u32::from(y) * self.width + u32::from(x))
+    }
+
+    /// [`Self::place`] of a pixel whose gap plus 2^g is `shifted`.
+    #[cfg(eecvs_dsp)]
+    pub(crate) fn place_after(&self, shifted: u32, counts: (u32, u32), writer: &mut BitWriter<'_>) {
+        let mut packer = *self;
+        packer.gap.before = 0;
+        let (code, bits) = packer.place_code(shifted, counts, writer);
+        writer.put_clean(code, bits);
+    }
+
+    /// Bits of a single event's cell.
+    #[inline(always)]
+    #[must_use]
+    pub const fn cells_log2(&self) -> u32 {
+        self.cells_log2
+    }
+
+    fn pack(&mut self, descriptor: &Descriptor, writer: &mut BitWriter<'_>) {
+        let (on, off) = (descriptor.on, descriptor.off);
+        let events = descriptor.events();
+        let position = (descriptor.x, descriptor.y);
+        let levels = match &descriptor.coded {
+            Coded::Cell(cell) => {
+                let cells = !(u32::MAX << (self.cells_log2 & 31));
+                return self.single(position, on == 1, *cell & cells, writer);
+            }
+            Coded::Levels(levels) => levels,
+        };
+        self.place(position, (on, off), writer);
+        if self.packing.transform.rule() == Rule::Magnitude {
+            let mut kept = Kept::NONE;
+            for level in levels {
+                kept.insert(usize::from(level.k));
+            }
+            self.set(&kept, writer);
+        }
+        let mut memory = [0; 2 * M_MAX];
+        let mut flat = Levels::new(&mut memory);
+        // What no pixel of these events can have is cut: the link has no room for it.
+        let unused = 32 - self.packing.level_bits_max(events);
+        let cut = |level: i32| (level << unused) >> unused;
+        for level in levels.iter().filter(|level| level.k > 0) {
+            match self.packing.transform {
+                Transform::Dct => flat.push([cut(level.re)]),
+                Transform::Dtft => flat.push([cut(level.re), cut(level.im)]),
+                Transform::Dwt => flat.push([cut(level.re - i32::from(level.re > 0))]),
+            }
+        }
+        self.levels(events, &flat, writer);
+    }
+}
+
+/// Puts levels, of which there are some and the widest has up to `most` bits; `spread` is
+/// [`Levels::spread`].
+///
+/// Apart: one for all transforms, as the levels are the same list in each.
+#[inline(never)]
+pub(crate) fn put_levels(most: u32, levels: &[u32], spread: u32, writer: &mut BitWriter<'_>) {
+    // Never more than `most`: |c| < n, and saturated levels have 32 bits.
+    let bits = (width_of(spread) + 1).min(most);
+    writer.aside(|writer| {
+        writer.put_unary(most - bits);
+        match bits {
+            0..=8 => put_groups::<4>(levels, bits, writer),
+            9..=10 => put_groups::<3>(levels, bits, writer),
+            11..=16 => put_groups::<2>(levels, bits, writer),
+            _ => put_groups::<1>(levels, bits, writer),
+        }
+    });
+}
+
+/// Puts levels in groups that a word has room for.
+#[inline(always)]
+fn put_groups<const N: usize>(levels: &[u32], bits: u32, writer: &mut BitWriter<'_>) {
+    let highest = highest_bits::<N>(bits);
+    let (groups, rest) = levels.as_chunks::<N>();
+    for group in groups {
+        writer.put_here(side_by_side(*group, bits, highest), N as u32 * bits);
+    }
+    for level in rest {
+        writer.put(*level, bits);
+    }
+}
+
+/// [`Packer::place`] where one word does not hold it.
+#[cold]
+#[inline(never)]
+fn place_long(
+    (gap, shifted): (GapCode, u32),
+    (on, events): (u32, u32),
+    writer: &mut BitWriter<'_>,
+) {
+    gap.put(shifted, writer);
+    writer.put_exp_golomb(events.wrapping_sub(1), 0);
+    writer.put(on, width_of(events));
+}
+
+/// [`Packer::single`] where one word does not hold it.
+#[cold]
+#[inline(never)]
+fn single_long(
+    (gap, shifted): (GapCode, u32),
+    is_on: bool,
+    (cell, cells_log2): (u32, u32),
+    writer: &mut BitWriter<'_>,
+) {
+    gap.put(shifted, writer);
+    writer.put_clean(1 | (u32::from(is_on) << 1), 2);
+    writer.put_clean(cell, cells_log2);
+}
+
+/// Whether `kept` is 0..`r` of a grid.
+#[inline(always)]
+fn is_low(kept: &Kept, grid: usize, r: u32) -> bool {
+    kept.words(grid).iter().enumerate().all(|(index, word)| {
+        let before = 32 * index as u32;
+        let here = r.saturating_sub(before);
+        *word
+            == if here >= 32 {
+                u32::MAX
+            } else {
+                !(u32::MAX << here)
+            }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::event::Sensor;
+    use crate::quantise::Level;
+    use crate::quantise::Quantiser;
+    use crate::transform::shape::PIXEL_BYTES_MAX;
+    use heapless::Vec;
+
+    fn packing(transform: Transform, m: u8, grid: u16, step_log2: i8) -> Packing {
+        Packing {
+            sensor: Sensor {
+                width: Sensor::SIDE_MAX,
+                height: Sensor::SIDE_MAX,
+            },
+            // As many events as pixels: the gap code's order is 0, its longest.
+            window_events: 1 << 22,
+            transform,
+            m,
+            grid,
+            quantiser: Quantiser::new(step_log2).unwrap(),
+        }
+    }
+
+    /// Every code of a pixel at its longest, for the grids where the indices take most.
+    #[test]
+    fn the_largest_pixel_fits_its_bound() {
+        let mut longest = 0;
+        for transform in Transform::ALL {
+            for grid in [64, 512, 640, 1024] {
+                for step_log2 in [-15, -6, 8] {
+                    let grid = transform.grid_size(64, Some(grid));
+                    let packing = packing(transform, 64, grid, step_log2);
+                    let side = Sensor::SIDE_MAX;
+                    let mut descriptor = Descriptor {
+                        x: side - 1,
+                        y: side - 1,
+                        on: (1 << 24) - 2,
+                        off: 1,
+                        coded: Coded::Levels(Vec::new()),
+                    };
+                    let mut levels = Vec::new();
+                    let first = match transform.rule() {
+                        Rule::LowFrequency => 0,
+                        Rule::Magnitude => grid - 64,
+                    };
+                    for k in first..first + 64 {
+                        let level = Level {
+                            k,
+                            re: i32::MIN,
+                            im: i32::from(transform.is_complex()) * i32::MIN,
+                        };
+                        let _ = levels.push(level);
+                    }
+                    descriptor.coded = Coded::Levels(levels);
+                    let mut bytes = [0; 2 * PIXEL_BYTES_MAX];
+                    let mut writer = BitWriter::new(&mut bytes);
+                    packing.pack(&descriptor, &mut 0, &mut writer).unwrap();
+                    longest = longest.max(writer.finish());
+                }
+            }
+        }
+        assert!(longest <= PIXEL_BYTES_MAX, "{longest}");
+        // Not by chance: counts and gap, 640 bits of indices, the levels' width in a bit, 128
+        // numbers of 32 bits. A narrower width takes 31 bits more at the most.
+        assert_eq!(
+            longest,
+            (45 + 47 + 24 + 1 + 640 + 1 + 128 * 32_usize).div_ceil(8)
+        );
+        assert!(longest + 31_usize.div_ceil(8) <= PIXEL_BYTES_MAX);
+    }
+}
