@@ -1,8 +1,9 @@
 //! Each stage of the fixed-point core against the f64 oracle, within the stated bounds.
 
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
+use eecvs_nostd::group::Impulse;
 use eecvs_nostd::transform::phase::PhaseScale;
-use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, Impulse};
+use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX};
 use eecvs_nostd::{Config, Quantiser, Sensor, Transform};
 use host_harness::bench::oracle_of;
 use host_harness::reference::transform as oracle;
@@ -41,7 +42,8 @@ fn accumulate(
                 Transform::Dtft => (number(2 * k), number(2 * k + 1)),
                 Transform::Dwt => (
                     number(k)
-                        * 2_f64.powf(f64::from(eecvs_nostd::transform::dwt::scale_of(k)) / 2.0),
+                        * 2_f64
+                            .powf(f64::from(eecvs_nostd::transform::haar_scale::scale_of(k)) / 2.0),
                     0.0,
                 ),
             }

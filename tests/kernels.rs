@@ -2,10 +2,11 @@
 
 use eecvs_nostd::Transform;
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
+use eecvs_nostd::group::Impulse;
 use eecvs_nostd::kernel::{Accumulate, Haar, Kernel, Libm, Micromath, Precise, Recurrence, Table};
-use eecvs_nostd::transform::dwt::scale_of;
+use eecvs_nostd::transform::haar_scale::scale_of;
 use eecvs_nostd::transform::phase::PhaseScale;
-use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX, Impulse};
+use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX};
 use host_harness::bench::kernel::Number;
 use host_harness::reference::{dwt, transform as oracle};
 use num_complex::Complex64;

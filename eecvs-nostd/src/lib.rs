@@ -39,6 +39,7 @@ pub mod window;
 mod checksum;
 pub mod event_link;
 pub mod fixed_point;
+mod machine;
 pub mod stage;
 
 pub use coder::key_frames::KEY_WINDOWS;

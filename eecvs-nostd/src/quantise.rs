@@ -3,8 +3,8 @@
 use core::num::NonZeroU32;
 
 use crate::fixed_point::{Coefficient, FRACTION_BITS, mul_add};
-use crate::transform::Transform;
-use crate::transform::dwt::scale_of;
+use crate::transform::haar_scale::scale_of;
+use crate::transform::name::Transform;
 
 /// A quantised coefficient. `im` is 0 for real transforms; c_0 = on - off stands as it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -1,9 +1,10 @@
 //! The Haar transform at every discontinuity of every atom, one microsecond before and after.
 
 use eecvs_nostd::fixed_point::CHUNK_EVENTS;
+use eecvs_nostd::group::Impulse;
 use eecvs_nostd::kernel::{Accumulate, Haar};
 use eecvs_nostd::transform::phase::PhaseScale;
-use eecvs_nostd::transform::{Dwt, GRID_MAX, Impulse};
+use eecvs_nostd::transform::{Dwt, GRID_MAX};
 use host_harness::bench::kernel::Number;
 use host_harness::reference::dwt;
 

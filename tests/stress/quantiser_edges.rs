@@ -1,7 +1,7 @@
 //! Coefficients on the border of a step, the widest levels, every step from 2^-15 to 2^8.
 
 use eecvs_nostd::fixed_point::{Coefficient, Sum, WideSum};
-use eecvs_nostd::transform::dwt::scale_of;
+use eecvs_nostd::transform::haar_scale::scale_of;
 use eecvs_nostd::{Level, Quantiser, Transform};
 use strategies::one_pixel::{bound, config, expected, impulses, through_the_link};
 

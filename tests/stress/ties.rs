@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 
 use eecvs_nostd::fixed_point::{Coefficient, Sum, WideSum};
 use eecvs_nostd::prune::Kept;
-use eecvs_nostd::transform::dwt::scale_of;
+use eecvs_nostd::transform::haar_scale::scale_of;
 use eecvs_nostd::transform::{Basis, Dtft};
 use eecvs_nostd::{Quantiser, Shape, Transform};
 use host_harness::reference::transform::Impulse;

@@ -10,7 +10,7 @@ pub fn fold(crc: u32, blocks: &[Block]) -> [u32; BLOCK] {
     let range = blocks.as_ptr_range();
     if range.start.addr().is_multiple_of(4) && !blocks.is_empty() {
         // SAFETY: the blocks from `start` to `end` are there, one at the least, and begin at a
-        // multiple of four. `eecvs_dsp` is set for cores that have the instructions.
+        // multiple of four. This file is built only for cores that have the instructions.
         unsafe { take_away(crc, range.start, range.end, &mut taken) };
     }
     taken

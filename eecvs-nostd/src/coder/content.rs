@@ -1,5 +1,8 @@
 //! What a coder codes: an encoder's window, or a decoder's place to put one.
 
+use crate::group::{Group, Pixel};
+use crate::window::Window;
+
 /// The end of a list, in place of an event.
 pub const END: u32 = u32::MAX;
 
@@ -12,6 +15,28 @@ pub struct Node {
     pub on: bool,
     /// The pixel's next event, or [`END`].
     pub next: u32,
+}
+
+/// An encoder's window, and how far it is coded.
+#[derive(Debug)]
+#[allow(dead_code, reason = "assembly alone asks")]
+pub struct Parts<'p, 'w> {
+    pub(crate) group: &'p mut Group,
+    pub(crate) window: &'p mut Window<'w>,
+    /// Events left of the window.
+    pub(crate) left: &'p mut u32,
+    /// The pixel at which the output is full, its next slot, and whether there is one.
+    pub(crate) pixel: &'p mut Option<Pixel>,
+    pub(crate) at: &'p mut u32,
+    pub(crate) rest: &'p mut u32,
+}
+
+/// What is done with an encoder's window: a closure that is always inlined.
+pub trait Walk {
+    /// How far it came.
+    type Walked;
+    /// Does it.
+    fn walk(self, parts: Parts<'_, '_>) -> Self::Walked;
 }
 
 /// The pixels of a frame in raster order, as a coder asks for them: an encoder answers, a decoder's
@@ -33,12 +58,8 @@ pub trait Content {
     fn take(&mut self, cell: u32, on: bool);
     /// Whether all events have been coded: both sides know.
     fn is_over(&self) -> bool;
-    /// Hands an encoder's window, where its times are told as they are, to a walk that looks at it itself.
-    #[cfg(eecvs_dsp)]
-    fn with_parts(
-        &mut self,
-        _walk: impl super::dense::armv7em::Walks,
-    ) -> Option<super::dense::armv7em::Walked> {
+    /// Hands an encoder's window, where its times are coded as they are, to a walk that looks at it itself.
+    fn with_parts<W: Walk>(&mut self, _walk: W) -> Option<W::Walked> {
         None
     }
     /// An event of the pixels coded so far; `None` for [`END`].

@@ -15,7 +15,6 @@ pub mod fast;
 pub mod key_frames;
 pub mod range;
 pub mod scan;
-pub mod symbols;
 pub mod times;
 #[cfg(feature = "coefficients")]
 pub(crate) mod window_coefficients;

@@ -18,7 +18,7 @@ use crate::transform::{Basis, M_MAX, Rule};
 use crate::window::{Slot, Window};
 
 /// What a frame took.
-pub(crate) struct Taken {
+pub(crate) struct TakenCoefficients {
     pub(crate) payload_bytes: usize,
     pub(crate) events: u32,
     pub(crate) pixels: u32,
@@ -54,10 +54,10 @@ impl CoefficientEncoder<'_, '_> {
         &mut self,
         memory: &mut CoefficientMemory,
         out: &mut [u8],
-    ) -> Taken {
+    ) -> TakenCoefficients {
         let mut writer = BitWriter::new(out);
         let mut fast = Fast::new(&self.common);
-        let mut taken = Taken {
+        let mut taken = TakenCoefficients {
             payload_bytes: 0,
             events: 0,
             pixels: 0,
@@ -92,7 +92,7 @@ impl CoefficientEncoder<'_, '_> {
         dense: &mut Dense<'_>,
         memory: &mut CoefficientMemory,
         out: &mut [u8],
-    ) -> Taken {
+    ) -> TakenCoefficients {
         let mut coder = RangeEncoder::new(out);
         let common = self.common;
         let left = self.left;
@@ -108,7 +108,7 @@ impl CoefficientEncoder<'_, '_> {
         };
         let coded = dense::code(dense, learned, &mut coder, &mut content, &common);
         // An encoder's own pixels are never refused.
-        let coded = coded.unwrap_or(dense::Coded {
+        let coded = coded.unwrap_or(dense::CodedRows {
             pixels: 0,
             events: 0,
             overran: true,
@@ -117,7 +117,7 @@ impl CoefficientEncoder<'_, '_> {
         if let Some(pixel) = pixel {
             self.group.put_back(pixel);
         }
-        Taken {
+        TakenCoefficients {
             payload_bytes: coder.finish(),
             events: coded.events,
             pixels: coded.pixels,

@@ -2,15 +2,9 @@
 
 use crate::coder::Times;
 use crate::coder::bits_msb_first::BigWriter;
-use crate::coder::content::{Content, Node};
+use crate::coder::content::{Content, Node, Parts, Walk};
 use crate::coder::dense::Dense;
-#[cfg(eecvs_dsp)]
-use crate::coder::dense::armv7em::{Parts, Walked, Walks};
-#[cfg(eecvs_dsp)]
-use crate::coder::fast::walk::armv7em as fast_walk;
-#[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
-use crate::coder::fast::walk::portable32 as fast_walk;
-use crate::coder::fast::{Fast, ROOM_WORDS, Unordered};
+use crate::coder::fast::{Fast, ROOM_WORDS, Unordered, walk};
 use crate::coder::range::RangeEncoder;
 use crate::frame::Header;
 use crate::group::sort::ascending;
@@ -19,7 +13,7 @@ use crate::stage::{Stage, Trace};
 use crate::window::{Slot, Window};
 
 /// What a frame took.
-pub(crate) struct Taken {
+pub(crate) struct TakenEvents {
     pub(crate) payload_bytes: usize,
     pub(crate) events: u32,
     /// The window has no more.
@@ -109,30 +103,27 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
     }
 
     /// Codes with [`Fast`] into `out`.
-    // On a host there is nothing before the pixel.
-    #[cfg_attr(target_pointer_width = "64", allow(clippy::while_let_loop))]
     #[inline(never)]
     pub(crate) fn fast<T: Trace>(
         &mut self,
         header: &Header,
         out: &mut [u8],
         trace: &mut T,
-    ) -> Taken {
+    ) -> TakenEvents {
         let mut writer = BigWriter::new(out);
         let mut coder = Fast::new(header.sensor, header.window_events, self.times.count());
-        let mut taken = Taken {
+        let mut taken = TakenEvents {
             payload_bytes: 0,
             events: 0,
             is_last: true,
             overran: false,
         };
         loop {
-            #[cfg(not(target_pointer_width = "64"))]
-            if !T::LISTENS && self.times.are_plain() {
+            if walk::IS_THERE && !T::LISTENS && self.times.are_plain() {
                 // All but the pixels that it leaves to what follows.
                 *self.is_rest = false;
                 let all = (&mut *self.group, &mut *self.window);
-                taken.events += fast_walk::walk(all, &mut coder, &mut writer);
+                taken.events += walk::walk(all, &mut coder, &mut writer);
             }
             let Some(mut pixel) = self.next_uncounted() else {
                 break;
@@ -173,7 +164,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         left: u32,
         out: &mut [u8],
         trace: &mut T,
-    ) -> Taken {
+    ) -> TakenEvents {
         trace.enter(Stage::Pack);
         let mut coder = RangeEncoder::new(out);
         let times = self.times;
@@ -183,7 +174,6 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             slot: Slot::EMPTY,
             rest: 0,
             left,
-            #[cfg(eecvs_dsp)]
             is_portable: T::IS_PORTABLE,
             encoder: self,
         };
@@ -195,7 +185,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             self.put_back(pixel, at);
         }
         trace.enter(Stage::Group);
-        Taken {
+        TakenEvents {
             payload_bytes: coder.finish(),
             events: coded.events,
             is_last: coded.events == left,
@@ -226,7 +216,6 @@ struct Pixels<'p, 'e, 'w, 'b> {
     /// Events left of the window.
     left: u32,
     /// [`Trace::IS_PORTABLE`]
-    #[cfg(eecvs_dsp)]
     is_portable: bool,
 }
 
@@ -288,9 +277,8 @@ impl Content for Pixels<'_, '_, '_, '_> {
         self.left == 0
     }
 
-    #[cfg(eecvs_dsp)]
     #[inline(always)]
-    fn with_parts(&mut self, walk: impl Walks) -> Option<Walked> {
+    fn with_parts<W: Walk>(&mut self, walk: W) -> Option<W::Walked> {
         if self.is_portable || !self.encoder.times.are_plain() {
             return None;
         }

@@ -9,7 +9,7 @@ use crate::coder::coefficients::{dense, pixel::Common};
 use crate::coder::dense::{Dense, DenseMemory, EVENT_BYTES_MAX};
 use crate::coder::key_frames::Chain;
 #[cfg(feature = "coefficients")]
-use crate::coder::window_coefficients::{CoefficientEncoder, Numbers, Taken};
+use crate::coder::window_coefficients::{CoefficientEncoder, Numbers, TakenCoefficients};
 use crate::coder::window_events::EventEncoder;
 use crate::coder::{Cells, Coder, Fidelity, Hybrid, Scans, Times};
 use crate::encoder::config::{Config, ConfigError, HAS_ORDER, HotError, Scratch};
@@ -17,11 +17,7 @@ use crate::encoder::rate::Rate;
 use crate::frame::{
     CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, OrderSection, seal,
 };
-#[cfg(eecvs_dsp)]
-use crate::fused::dtft32_armv7em as waves;
-#[cfg(target_arch = "x86_64")]
-use crate::fused::dtft32_avx2 as waves;
-use crate::fused::{PixelEncoder, is_few, is_lanes};
+use crate::fused::{PixelEncoder, is_few, is_lanes, is_waves};
 use crate::group::Group;
 use crate::kernel::{Accumulate, WithKernel};
 use crate::pack::bits_lsb_first::BitWriter;
@@ -270,7 +266,7 @@ impl<'b> WindowEncoder<'b> {
         }
         let mut task = match self.task {
             Some(task) => task,
-            None => self.begin(closed, window),
+            None => self.plan(closed, window),
         };
         if task.header.last {
             self.task = None;
@@ -283,66 +279,105 @@ impl<'b> WindowEncoder<'b> {
         header.late = counts.late;
         header.filtered = counts.filtered;
         header.dropped = counts.dropped;
+        header.order = None;
 
-        let mut end = out.len().min(FRAME_BYTES_MAX) - CRC_BYTES;
-        let mut is_spent = false;
-        if let Some(rate) = &self.rate {
-            is_spent = rate.room() < FRAME_BYTES_LEAST;
-            // The header lies where it is longest: what it does not take the payload may.
-            let most = HEADER_BYTES_MAX + rate.room().saturating_sub(HEADER_BYTES_MAX + CRC_BYTES);
-            end = end.min(most);
-        }
+        let (end, is_spent) = self.payload_end(out.len());
         // There is that much.
         let payload = out.get_mut(HEADER_BYTES_MAX..end).unwrap_or_default();
-        header.order = None;
-        let mut payload_bytes = match header.mode {
-            #[cfg(feature = "coefficients")]
-            Mode::Coefficients(coder) => {
-                let taken = match header.transform {
-                    Transform::Dct => {
-                        self.encode_coefficients::<C>(window, coder, &mut task, payload)
-                    }
-                    Transform::Dtft => {
-                        self.encode_coefficients::<F>(window, coder, &mut task, payload)
-                    }
-                    Transform::Dwt => {
-                        self.encode_coefficients::<Dwt>(window, coder, &mut task, payload)
-                    }
-                };
-                match taken {
-                    Some(bytes) => bytes,
-                    None => self.encode_plain::<C, F, T>(window, &mut task, payload, trace),
-                }
-            }
-            Mode::Hybrid(hybrid) if is_spent => {
-                // What was estimated was too low, or there was no room for a single event.
-                header.events = 0;
-                header.last = true;
-                header.thinned = header.thinned.saturating_add(task.left);
-                while self.group.next(window).is_some() {}
-                // Nothing is learned from it, and nothing goes on from it.
-                let coder = Coder::Fast;
-                header.mode = Mode::Hybrid(Hybrid { coder, ..hybrid });
-                header.scans = None;
-                header.is_key = true;
-                self.breaks = true;
-                0
-            }
-            // What there is left to tell is the order.
-            Mode::Hybrid(_) if HAS_ORDER && task.left == 0 && header.part > 0 => {
-                header.events = 0;
-                header.last = true;
-                0
-            }
-            Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, &mut task, payload, trace),
-            _ => self.encode_plain::<C, F, T>(window, &mut task, payload, trace),
+        let mut payload_bytes = if is_spent {
+            self.leave_out(window, &mut task)
+        } else {
+            self.encode_payload::<C, F, T>(window, &mut task, payload, trace)
         };
         if HAS_ORDER && task.header.last && self.order.is_some() && !is_spent {
             let room = payload.get_mut(payload_bytes..).unwrap_or_default();
             payload_bytes += self.encode_order(&mut task.header, payload_bytes, room);
         }
-        let header = &mut task.header;
         trace.enter(Stage::Frame);
+        let encoded = self.seal_frame(&mut task, payload_bytes, out)?;
+        self.task = Some(task);
+        Ok(Some(encoded))
+    }
+
+    /// Where a frame's payload ends at the latest in an output of so many bytes, and whether the budget has
+    /// no room for a frame.
+    #[inline(always)]
+    fn payload_end(&self, out_bytes: usize) -> (usize, bool) {
+        let end = out_bytes.min(FRAME_BYTES_MAX) - CRC_BYTES;
+        match &self.rate {
+            Some(rate) => {
+                // The header lies where it is longest: what it does not take the payload may.
+                let room = rate.room().saturating_sub(HEADER_BYTES_MAX + CRC_BYTES);
+                let is_spent = rate.room() < FRAME_BYTES_LEAST;
+                (end.min(HEADER_BYTES_MAX + room), is_spent)
+            }
+            None => (end, false),
+        }
+    }
+
+    /// Codes what is left of the window, or as much of it as there is room for; returns the bytes that it
+    /// took.
+    #[inline(always)]
+    fn encode_payload<C: Basis, F: Basis, T: Trace>(
+        &mut self,
+        window: &mut Window<'_>,
+        task: &mut Task,
+        payload: &mut [u8],
+        trace: &mut T,
+    ) -> usize {
+        let header = &mut task.header;
+        match header.mode {
+            #[cfg(feature = "coefficients")]
+            Mode::Coefficients(coder) => {
+                let taken = match header.transform {
+                    Transform::Dct => self.encode_coefficients::<C>(window, coder, task, payload),
+                    Transform::Dtft => self.encode_coefficients::<F>(window, coder, task, payload),
+                    Transform::Dwt => self.encode_coefficients::<Dwt>(window, coder, task, payload),
+                };
+                match taken {
+                    Some(bytes) => bytes,
+                    None => self.encode_plain::<C, F, T>(window, task, payload, trace),
+                }
+            }
+            // What there is left to code is the order.
+            Mode::Hybrid(_) if HAS_ORDER && task.left == 0 && header.part > 0 => {
+                header.events = 0;
+                header.last = true;
+                0
+            }
+            Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, task, payload, trace),
+            _ => self.encode_plain::<C, F, T>(window, task, payload, trace),
+        }
+    }
+
+    /// Leaves out, and counts, what the budget has no room for: what was estimated was too low, or there was
+    /// no room for a single event. Returns the payload's bytes.
+    #[inline(always)]
+    fn leave_out(&mut self, window: &mut Window<'_>, task: &mut Task) -> usize {
+        let header = &mut task.header;
+        header.events = 0;
+        header.last = true;
+        header.thinned = header.thinned.saturating_add(task.left);
+        while self.group.next(window).is_some() {}
+        // Nothing is learned from it, and nothing goes on from it.
+        if let Mode::Hybrid(hybrid) = &mut header.mode {
+            hybrid.coder = Coder::Fast;
+        }
+        header.scans = None;
+        header.is_key = true;
+        self.breaks = true;
+        0
+    }
+
+    /// Makes a frame of its payload in `out`; the task is then the next frame's.
+    #[inline(always)]
+    fn seal_frame(
+        &mut self,
+        task: &mut Task,
+        payload_bytes: usize,
+        out: &mut [u8],
+    ) -> Result<Encoded, NoRoom> {
+        let header = &mut task.header;
         let range = seal(header, payload_bytes, out)?;
         if let Some(rate) = &mut self.rate {
             let order_bytes = header.order.map_or(0, |order| order.bytes as usize);
@@ -361,11 +396,12 @@ impl<'b> WindowEncoder<'b> {
             // Whatever this frame had room for.
             header.mode = self.config.mode;
         }
-        self.task = Some(task);
-        Ok(Some(encoded))
+        Ok(encoded)
     }
 
-    fn begin(&mut self, closed: Closed, window: &mut Window<'_>) -> Task {
+    /// What a closed window's frames have in common: its filter, regime, transform and mode, and what its
+    /// budget leaves of it.
+    fn plan(&mut self, closed: Closed, window: &mut Window<'_>) -> Task {
         let WindowConfig { sensor, .. } = window.config();
         let used = window.events();
         let filtered = self.config.filter.apply(&self.hot, window);
@@ -502,7 +538,7 @@ impl<'b> WindowEncoder<'b> {
             common,
             left: task.left,
         };
-        let mut code = || -> Option<Taken> {
+        let mut code = || -> Option<TakenCoefficients> {
             let memory = coefficients.as_mut()?;
             if coder == Coder::Fast {
                 header.is_key = true;
@@ -641,8 +677,7 @@ impl<'b> WindowEncoder<'b> {
             (events, pixels, saturated) =
                 encoder.encode_lanes(&mut self.group, window, writer, trace);
         }
-        #[cfg(any(eecvs_dsp, target_arch = "x86_64"))]
-        if B::HAS_WALKS && B::TRANSFORM as u8 == Transform::Dtft as u8 && waves::is_for(&packing) {
+        if B::HAS_WALKS && B::TRANSFORM as u8 == Transform::Dtft as u8 && is_waves(&packing) {
             (events, pixels, saturated) =
                 encoder.encode_waves(&mut self.group, window, writer, trace);
         }

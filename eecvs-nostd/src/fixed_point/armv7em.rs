@@ -6,8 +6,8 @@ use core::arch::asm;
 #[inline(always)]
 pub fn mul_high(a: i32, b: i32) -> i32 {
     let product;
-    // SAFETY: reads two registers, writes a third, touches neither memory nor flags; the build
-    // script sets `eecvs_dsp` only for cores that have the instruction.
+    // SAFETY: reads two registers, writes a third, touches neither memory nor flags; this file is
+    // built only for cores that have the instruction.
     unsafe {
         asm!("smmul {}, {}, {}", lateout(reg) product, in(reg) a, in(reg) b,
             options(pure, nomem, nostack, preserves_flags));

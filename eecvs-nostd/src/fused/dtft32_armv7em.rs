@@ -124,9 +124,9 @@ impl<'e> Waves<'e> {
     ) {
         let kept = self.choose(tally, impulses, trace);
         trace.enter(Stage::Pack);
-        // SAFETY: the pointer is that of the reference. `put_apart` reads a pair for every k of the set
-        // but 0, which have just been written, and writes the position and fewer words from there on
-        // than there is room for. The build script sets `eecvs_dsp` only for cores that have the
+        // SAFETY: the pointer is that of the reference. `put_apart` reads a pair for every k of the
+        // set but 0, which have just been written, and writes the position and fewer words from
+        // there on than there is room for. This file is built only for cores that have the
         // instructions.
         let is_put = unsafe {
             let writer: *mut BitWriter<'_> = writer;
@@ -146,8 +146,8 @@ impl<'e> Waves<'e> {
         let (slots, head) = impulses.parts();
         if events == 2 {
             trace.enter(Stage::Accumulate);
-            // SAFETY: the list is the group's, of events of this window. There are 2K sums. The build
-            // script sets `eecvs_dsp` only for cores that have the instructions.
+            // SAFETY: the list is the group's, of events of this window. There are 2K sums. This
+            // file is built only for cores that have the instructions.
             let kept = unsafe { two(&self.common, slots.as_ptr(), head) };
             if kept != 0 {
                 return kept;

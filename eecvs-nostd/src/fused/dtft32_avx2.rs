@@ -18,14 +18,15 @@ use core::arch::x86_64::{
 
 use crate::accumulate::{any_grid, dtft16};
 use crate::fixed_point::{FRACTION_BITS, Phase};
+use crate::group::Impulse;
 use crate::group::{Impulses, Pixel};
 use crate::pack::bits_lsb_first::BitWriter;
 use crate::pack::packer::Packer;
 use crate::prune;
 use crate::stage::{Stage, Trace};
+use crate::transform::Transform;
 use crate::transform::phase::PhaseScale;
 use crate::transform::shape::{Packing, Shape, width_of};
-use crate::transform::{Impulse, Transform};
 use crate::window::Slot;
 
 cpufeatures::new!(detected, "avx2", "bmi1", "bmi2", "popcnt");

@@ -108,9 +108,9 @@ pub fn walk(
     };
     // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns`
     // reads slots at the heads and links of the group's lists, all of which `Group` has found below
-    // the number of slots when it made the lists; reads and writes entries of columns below 32; reads
-    // the table at bins below 16, as offsets are below the duration; and writes words before `limit`
-    // plus `room`, which are there. The build script sets `eecvs_dsp` only for cores that have the
+    // the number of slots when it made the lists; reads and writes entries of columns below 32;
+    // reads the table at bins below 16, as offsets are below the duration; and writes words before
+    // `limit` plus `room`, which are there. This file is built only for cores that have the
     // instructions.
     let counts = unsafe { walk_columns(&mut walk) };
     group.columns = walk.columns;
@@ -237,8 +237,7 @@ pub unsafe fn sum<const W: usize>(impulses: &Impulses<'_>, duration_us: u32) -> 
     };
     let to = (&raw mut sums).cast();
     // SAFETY: by the caller, every link is a slot or the end, and every bin a row. The functions
-    // write W words of `sums`. The build script sets `eecvs_dsp` only for cores that have the
-    // instructions.
+    // write W words of `sums`. This file is built only for cores that have the instructions.
     unsafe {
         if W == 4 {
             sum_16(slots.as_ptr(), index, to);

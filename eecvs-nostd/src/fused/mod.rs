@@ -41,6 +41,20 @@ pub(crate) fn is_few(packing: &Packing) -> bool {
         && packing.quantiser.step_log2() <= 0
 }
 
+/// Whether a pixel's Fourier coefficients go from its events to bits at once: [`PixelEncoder::encode_waves`]
+/// is for these.
+pub(crate) fn is_waves(packing: &Packing) -> bool {
+    #[cfg(eecvs_dsp)]
+    return dtft32_armv7em::is_for(packing);
+    #[cfg(target_arch = "x86_64")]
+    return dtft32_avx2::is_for(packing);
+    #[cfg(not(any(eecvs_dsp, target_arch = "x86_64")))]
+    {
+        let _ = packing;
+        false
+    }
+}
+
 /// Words that a pixel takes at the most where [`is_few`] holds: counts and gap, 3 * 31 bits and 3;
 /// a width of up to 32 bits, 7 levels of 32; and what was there before.
 const FEW_WORDS_MAX: usize = 3 + 1 + 7 + 1;
@@ -248,6 +262,18 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             saturated = saturated.saturating_add(saturates);
         }
         (events, pixels, saturated)
+    }
+
+    /// Never called: [`is_waves`] holds for no frame.
+    #[cfg(not(any(eecvs_dsp, target_arch = "x86_64")))]
+    pub(crate) const fn encode_waves<T: Trace>(
+        &mut self,
+        _: &mut Group,
+        _: &mut Window<'_>,
+        _: &mut BitWriter<'_>,
+        _: &mut T,
+    ) -> (u32, u32, u32) {
+        (0, 0, 0)
     }
 
     /// Encodes pixels where [`dtft32_avx2::is_for`] holds while the output has room for any. Returns

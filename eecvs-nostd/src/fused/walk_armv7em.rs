@@ -17,7 +17,7 @@ use crate::accumulate::dct8::armv7em::event;
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::fused::dtft32_armv7em;
 use crate::fused::dtft32_armv7em::Waves;
-use crate::group::armv7em::{Source, next_segments};
+use crate::group::source::{Source, next_segments};
 use crate::group::{Entry, Group};
 use crate::pack::bits_lsb_first::{BitWriter, Position};
 use crate::pack::packer::Packer;
@@ -162,11 +162,11 @@ pub fn walk(
         borrowed: PhantomData,
     };
     // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns`
-    // reads and writes heads of segments that the window's bitmap has, and slots at heads and links,
-    // all of which `Window` has made of slots that it has filled, or of entries that this or `Group`
-    // has made of those; reads and writes entries of columns below 32; reads the tables at rows
-    // below 512 and counts up to a chunk's; and writes words before `limit` plus `room`, which are
-    // there. The build script sets `eecvs_dsp` only for cores that have the instructions.
+    // reads and writes heads of segments that the window's bitmap has, and slots at heads and
+    // links, all of which `Window` has made of slots that it has filled, or of entries that this or
+    // `Group` has made of those; reads and writes entries of columns below 32; reads the tables at
+    // rows below 512 and counts up to a chunk's; and writes words before `limit` plus `room`, which
+    // are there. This file is built only for cores that have the instructions.
     let counts = unsafe { walk_columns(&mut walk) };
     // SAFETY: the references that they were made of are not used before this.
     let (group, packer) = unsafe { (&mut *walk.source.group, &mut *walk.packer) };

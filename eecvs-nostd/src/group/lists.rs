@@ -2,7 +2,7 @@
 //! alone.
 
 use crate::group::Impulses;
-use crate::transform::Impulse;
+use crate::group::impulse::Impulse;
 use crate::window::{NO_SLOT, SLOTS_MAX, Slot};
 
 /// Lists one after the other.

@@ -4,15 +4,17 @@
 //! The window holds a list per segment of 32 columns. One segment at a time is dealt into 32
 //! column lists; since the segment's list is newest first, each column's comes out oldest first.
 
-#[cfg(eecvs_dsp)]
-pub(crate) mod armv7em;
+pub mod impulse;
 pub mod lists;
 pub(crate) mod sort;
+#[allow(dead_code, reason = "assembly alone asks")]
+pub(crate) mod source;
 
 use core::mem;
 use core::num::NonZeroU32;
 
-use crate::transform::Impulse;
+pub use impulse::{Impulse, Impulses};
+
 use crate::window::{FIRST, Head, NO_SLOT, SEGMENT_PIXELS, Slot, Window, index};
 
 /// A pixel with events.
@@ -179,7 +181,7 @@ impl Group {
 
     /// Takes the columns of the segment at hand that are still to be visited or, where there are none,
     /// of the next one, for a walk in assembly to visit; 0 after the last.
-    #[cfg(eecvs_dsp)]
+    #[allow(dead_code, reason = "assembly alone asks")]
     pub(crate) fn enter(&mut self, window: &mut Window<'_>) -> u32 {
         match mem::take(&mut self.columns) {
             0 => self
@@ -249,65 +251,5 @@ impl Group {
 impl Default for Group {
     fn default() -> Self {
         Self::new()
-    }
-}
-
-/// A pixel's events, oldest first.
-///
-/// `next` and what it links are slots that are there, or the end of the list.
-#[derive(Debug, Clone)]
-pub struct Impulses<'s> {
-    slots: &'s [Slot],
-    next: u32,
-}
-
-impl<'s> Impulses<'s> {
-    /// The events of `pixel`, which a group has made of these slots.
-    #[inline(always)]
-    #[must_use]
-    pub(crate) const fn new(pixel: Pixel, slots: &'s [Slot]) -> Self {
-        Self::from_slot(slots, pixel.head)
-    }
-
-    /// The events from the slot `next` on, of a list in `slots`.
-    #[inline(always)]
-    pub(crate) const fn from_slot(slots: &'s [Slot], next: u32) -> Self {
-        Self { slots, next }
-    }
-
-    /// Whether there is none.
-    #[inline(always)]
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.next as usize >= self.slots.len()
-    }
-
-    /// The slots, and which of them is next.
-    #[cfg(eecvs_dsp)]
-    #[inline(always)]
-    pub(crate) const fn parts(&self) -> (&'s [Slot], u32) {
-        (self.slots, self.next)
-    }
-
-    /// Those from the slot `next` on, which is one of theirs, or the end.
-    #[cfg(eecvs_dsp)]
-    #[inline(always)]
-    pub(crate) const fn after(&self, next: u32) -> Self {
-        Self::from_slot(self.slots, next)
-    }
-}
-
-impl Iterator for Impulses<'_> {
-    type Item = Impulse;
-
-    #[inline(always)]
-    fn next(&mut self) -> Option<Impulse> {
-        // The end of the list is a slot that no buffer has.
-        let slot = self.slots.get(self.next as usize)?;
-        self.next = slot.next();
-        Some(Impulse {
-            offset_us: slot.offset_us(),
-            is_on: slot.is_on(),
-        })
     }
 }

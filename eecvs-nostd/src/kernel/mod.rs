@@ -30,9 +30,10 @@ mod table;
 mod with_kernel;
 
 use crate::fixed_point::Phase;
+use crate::group::Impulse;
 use crate::group::Impulses;
 use crate::transform::phase::PhaseScale;
-use crate::transform::{Basis, Impulse, Transform};
+use crate::transform::{Basis, Transform};
 
 #[cfg(feature = "float")]
 pub use self::libm::Libm;

@@ -4,10 +4,11 @@ use core::marker::PhantomData;
 
 use super::{Accumulate, PhaseScale, PreciseSum};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, FRACTION_BITS, Sum, WideSum};
+use crate::group::Impulse;
 use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::transform::shape::Shape;
-use crate::transform::{Basis, GRID_MAX, Impulse, Rule, Transform};
+use crate::transform::{Basis, GRID_MAX, Rule, Transform};
 
 /// The transform `B` with the accumulate stage of the kernel `A`; all other stages are those of `B`.
 ///

@@ -72,8 +72,8 @@ unsafe fn largest_in<const W: usize>(
     let mut lanes = [0; W];
     // As `Coefficient::relative`.
     let shift = events.leading_zeros().wrapping_sub(26) & 31;
-    // SAFETY: `squares` reads 2K sums and writes K keys and K / 4 words, 1 to W. The build script sets
-    // `eecvs_dsp` only for cores that have the instructions.
+    // SAFETY: `squares` reads 2K sums and writes K keys and K / 4 words, 1 to W. This file is built
+    // only for cores that have the instructions.
     let mut below = unsafe { squares(sums, keys, grid, shift, lanes.as_mut_ptr()) };
     let (mut base, mut search) = (0, SQUARES);
     loop {
@@ -101,8 +101,8 @@ unsafe fn largest_in<const W: usize>(
 #[inline(always)]
 fn separate<const W: usize>(lanes: &mut [u32; W], r: u32, search: Search) -> u32 {
     let Search { first, lowest } = search;
-    // SAFETY: both read W words and write the first. The build script sets `eecvs_dsp` only for cores
-    // that have the instructions.
+    // SAFETY: both read W words and write the first. This file is built only for cores that have
+    // the instructions.
     unsafe {
         if W == 4 {
             separate_16(lanes.as_mut_ptr(), r, first, lowest)

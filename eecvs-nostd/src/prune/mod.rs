@@ -3,7 +3,7 @@
 #[cfg(eecvs_dsp)]
 pub(crate) mod armv7em;
 
-use crate::transform::GRID_MAX;
+use crate::transform::name::GRID_MAX;
 
 /// A set of grid indices: bit k of its words.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

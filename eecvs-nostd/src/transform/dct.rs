@@ -4,13 +4,14 @@ use core::f64::consts::PI;
 
 use crate::accumulate::{any_grid, dct8, dct16};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
-#[cfg(eecvs_dsp)]
-use crate::group::Impulses;
+use crate::group::impulse::{Impulse, Impulses};
+use crate::machine::HAS_DSP;
 use crate::prune::{Kept, low_frequency};
 use crate::quantise::Levels;
+use crate::transform::basis::{Basis, cell_of, cells_log2_of};
+use crate::transform::name::{Rule, Transform};
 use crate::transform::phase::PhaseScale;
 use crate::transform::shape::Shape;
-use crate::transform::{Basis, Impulse, Rule, Transform, cell_of, cells_log2_of};
 
 /// The cosine transform (eq. 6 with phi_k(u) = cos(pi k u)), for dense windows.
 ///
@@ -48,7 +49,6 @@ impl Basis for Dct {
         any_grid::cosines(impulses, turn, sums);
     }
 
-    #[cfg(eecvs_dsp)]
     #[inline(always)]
     fn accumulate_list<'s>(
         impulses: &Impulses<'s>,
@@ -56,20 +56,13 @@ impl Basis for Dct {
         grid: usize,
         sums: &mut [Sum],
     ) -> Option<Impulses<'s>> {
-        if grid == dct8::GRID
-            && let Some((_, sums)) = sums.split_first_mut()
-            && let Some(sums) = sums.first_chunk_mut()
-        {
-            return Some(dct8::armv7em::seven(impulses, scale, sums));
-        }
-        if grid > dct8::GRID
-            && grid <= dct16::GRID
-            && let Some(sums) = sums.first_chunk_mut()
-        {
-            return Some(dct8::armv7em::fifteen(impulses, scale, sums));
-        }
-        accumulate_apart(impulses, scale, grid, sums);
-        None
+        dct8::of_list(impulses, scale, grid, sums, |sums| {
+            if HAS_DSP {
+                accumulate_apart(impulses, scale, grid, sums);
+            } else {
+                Self::accumulate(impulses.clone(), scale, grid, sums);
+            }
+        })
     }
 
     #[inline(always)]
@@ -103,7 +96,6 @@ impl Basis for Dct {
 
 /// [`Dct::accumulate`] of what has no assembly. Apart, so that what has some does not wait for its
 /// registers to be saved.
-#[cfg(eecvs_dsp)]
 #[inline(never)]
 fn accumulate_apart(impulses: &Impulses<'_>, scale: PhaseScale, grid: usize, sums: &mut [Sum]) {
     Dct::accumulate(impulses.clone(), scale, grid, sums);

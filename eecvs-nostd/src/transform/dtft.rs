@@ -4,13 +4,14 @@ use core::f64::consts::TAU;
 
 use crate::accumulate::{any_grid, dtft16};
 use crate::fixed_point::{Coefficient, Phase, Sum, mul_high};
-#[cfg(eecvs_dsp)]
-use crate::group::Impulses;
+use crate::group::impulse::{Impulse, Impulses};
+use crate::machine::HAS_DSP;
 use crate::prune::{Kept, largest, low_frequency};
 use crate::quantise::Levels;
+use crate::transform::basis::{Basis, cell_of, cells_log2_of};
+use crate::transform::name::{Rule, Transform};
 use crate::transform::phase::PhaseScale;
 use crate::transform::shape::Shape;
-use crate::transform::{Basis, Impulse, Rule, Transform, cell_of, cells_log2_of};
 
 /// The Fourier transform of the impulse train (eq. 6 with phi_k(u) = exp(-i 2 pi k u)), for
 /// moderate windows.
@@ -45,7 +46,6 @@ impl Basis for Dtft {
         any_grid::exponentials(impulses, turn, pairs);
     }
 
-    #[cfg(eecvs_dsp)]
     #[inline(always)]
     fn accumulate_list<'s>(
         impulses: &Impulses<'s>,
@@ -53,13 +53,13 @@ impl Basis for Dtft {
         grid: usize,
         sums: &mut [Sum],
     ) -> Option<Impulses<'s>> {
-        if grid == dtft16::GRID
-            && let Some(pairs) = sums.as_chunks_mut::<2>().0.first_chunk_mut()
-        {
-            return Some(dtft16::armv7em::exponentials(impulses, scale, pairs));
-        }
-        accumulate_apart(impulses, scale, grid, sums);
-        None
+        dtft16::of_list(impulses, scale, grid, sums, |sums| {
+            if HAS_DSP {
+                accumulate_apart(impulses, scale, grid, sums);
+            } else {
+                Self::accumulate(impulses.clone(), scale, grid, sums);
+            }
+        })
     }
 
     /// The r largest by re^2 + im^2, whose rounding moves |c| by less than n 2^-14.
@@ -123,7 +123,6 @@ impl Basis for Dtft {
 
 /// [`Dtft::accumulate`] of what has no assembly over a list. Apart, so that what has some does not wait
 /// for its registers to be saved.
-#[cfg(eecvs_dsp)]
 #[inline(never)]
 fn accumulate_apart(impulses: &Impulses<'_>, scale: PhaseScale, grid: usize, sums: &mut [Sum]) {
     Dtft::accumulate(impulses.clone(), scale, grid, sums);
@@ -159,7 +158,7 @@ mod tests {
         kept.words(shape.grid)[0]
     }
 
-    /// The k whose floor(512 d), with d as [`crate::prune::armv7em`] rounds it, is `value` or more.
+    /// The k whose floor(512 d), with d as the assembly rounds it, is `value` or more.
     fn reach(events: [Impulse; 2], shape: Shape, value: u32) -> u32 {
         let scale = PhaseScale::new(WINDOW_US);
         let [a, b] = events.map(|event| scale.half(event.offset_us).to_bits() << 1);

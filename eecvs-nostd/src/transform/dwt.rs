@@ -5,27 +5,24 @@ use core::cell::Cell;
 use crate::accumulate::haar_bytes;
 use crate::accumulate::haar_bytes::Lanes;
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum};
+use crate::group::impulse::Impulse;
+use crate::machine::HAS_DSP;
 use crate::prune::{Kept, largest};
 use crate::quantise::Levels;
+use crate::transform::basis::Basis;
+use crate::transform::haar_scale::scale_of;
+use crate::transform::name::{Rule, Transform};
 use crate::transform::phase::PhaseScale;
 use crate::transform::shape::Shape;
-use crate::transform::{Basis, Impulse, Rule, Transform};
 
 /// The Haar wavelet transform (eq. 6), for sparse windows; h is +1 on [0, 1/2), -1 on [1/2, 1).
 ///
 /// `[Impulse; n] -> [Sum; K]`, K a power of two. The sums hold the integers
-/// D_k = c_k / 2^(j/2), |D_k| <= n, exact: rows of bytes for K up to 32, as the file `lanes.rs` has
-/// it, else a fine histogram and K - 1 butterflies. The irrational scale is left to whoever needs the value, so that pruning compares D^2 2^j, an integer, and ties
+/// D_k = c_k / 2^(j/2), |D_k| <= n, exact: rows of bytes for K up to 32, as `haar_bytes` has
+/// them, else a fine histogram and K - 1 butterflies. The irrational scale is left to whoever needs the value, so that pruning compares D^2 2^j, an integer, and ties
 /// are exact.
 #[derive(Debug, Clone, Copy)]
 pub struct Dwt;
-
-/// j of coefficient k = 2^j + m; 0 for k = 0.
-#[inline(always)]
-#[must_use]
-pub const fn scale_of(k: usize) -> u32 {
-    if k == 0 { 0 } else { k.ilog2() }
-}
 
 /// Up to so many events are added one by one: less than the butterflies take.
 const FEW_EVENTS: usize = 6;
@@ -44,7 +41,7 @@ impl Basis for Dwt {
         debug_assert!(grid.is_power_of_two());
         let bins_log2 = grid.trailing_zeros();
         // Where few pixels come this way, an image has the histogram alone.
-        if grid <= haar_bytes::GRID && !cfg!(eecvs_dsp) {
+        if grid <= haar_bytes::GRID && !HAS_DSP {
             if grid <= haar_bytes::GRID / 2 {
                 widen(haar_bytes::sum::<4>(impulses, scale, bins_log2), grid, sums);
             } else {

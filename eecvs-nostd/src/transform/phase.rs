@@ -3,6 +3,7 @@
 use core::num::NonZeroU32;
 
 use crate::fixed_point::Phase;
+use crate::machine::IS_64_BIT;
 
 /// Divides by one window's duration: a multiplication per event instead of a division.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,7 +50,7 @@ impl PhaseScale {
     }
 
     /// What [`Self::half`] shifts and multiplies by.
-    #[cfg(eecvs_dsp)]
+    #[allow(dead_code, reason = "assembly alone asks")]
     pub(crate) const fn parts(self) -> (u32, u32) {
         (self.shift, self.reciprocal)
     }
@@ -67,7 +68,7 @@ impl PhaseScale {
     }
 
     /// T, where a division of 32 bits gives [`Self::bin`].
-    #[cfg(eecvs_dsp)]
+    #[allow(dead_code, reason = "assembly alone asks")]
     pub(crate) const fn divisor(self, bins_log2: u32) -> Option<u32> {
         if self.shift >= bins_log2 {
             Some(self.duration_us.get())
@@ -81,7 +82,7 @@ impl PhaseScale {
     #[inline(always)]
     #[must_use]
     pub const fn bin(self, offset_us: u32, bins_log2: u32) -> u32 {
-        if cfg!(target_pointer_width = "64") {
+        if IS_64_BIT {
             // A multiplication where that is one instruction: `half` is up to 2 below floor(2^31 u),
             // which seldom leaves the bin open.
             let half = self.half(offset_us).to_bits();

@@ -972,7 +972,7 @@ impl<'b> Window<'b> {
     }
 
     /// Slots, heads, and segments in a row, for assembly.
-    #[cfg(eecvs_dsp)]
+    #[allow(dead_code, reason = "assembly alone asks")]
     pub(crate) const fn parts(&mut self) -> (&mut [Slot], &mut [Head], NonZeroU32) {
         (self.slots, self.heads, self.stride)
     }

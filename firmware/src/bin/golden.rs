@@ -21,9 +21,10 @@ use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::words;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
+use eecvs_nostd::group::Impulse;
 use eecvs_nostd::group::lists::Lists;
 use eecvs_nostd::transform::phase::PhaseScale;
-use eecvs_nostd::transform::{Basis, Dct, Dtft, Impulse};
+use eecvs_nostd::transform::{Basis, Dct, Dtft};
 use eecvs_nostd::{
     Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN,
     Polarity, Push, Quantiser, Sensor, Stage, Storage, Thresholds, Trace, Transform, WindowConfig,

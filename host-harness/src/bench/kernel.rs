@@ -3,11 +3,12 @@
 use std::hint::black_box;
 
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
+use eecvs_nostd::group::Impulse;
 use eecvs_nostd::kernel::{
     Accumulate, Haar, Kernel, Libm, Micromath, Precise, PreciseSum, Recurrence, Table,
 };
 use eecvs_nostd::transform::phase::PhaseScale;
-use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, Impulse, Transform};
+use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, Transform};
 use num_complex::Complex64;
 
 use super::Contender;

@@ -3,7 +3,7 @@
 use std::num::NonZeroU32;
 
 use anyhow::{Context, Result};
-use eecvs_nostd::transform::Impulse;
+use eecvs_nostd::group::Impulse;
 use eecvs_nostd::transform::phase::PhaseScale;
 
 use super::cut::Cut;

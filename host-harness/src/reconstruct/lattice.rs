@@ -8,8 +8,9 @@
 use std::collections::HashSet;
 
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
+use eecvs_nostd::group::Impulse;
 use eecvs_nostd::transform::phase::PhaseScale;
-use eecvs_nostd::transform::{Basis, Dct, Dtft, Impulse};
+use eecvs_nostd::transform::{Basis, Dct, Dtft};
 use eecvs_nostd::{Header, Transform};
 
 use super::equations::Equations;

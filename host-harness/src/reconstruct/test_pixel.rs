@@ -1,8 +1,9 @@
 //! A pixel as the encoder sends it, for tests.
 
 use eecvs_nostd::fixed_point::Sum;
+use eecvs_nostd::group::Impulse;
 use eecvs_nostd::transform::phase::PhaseScale;
-use eecvs_nostd::transform::{Basis, Dct, Dtft, Impulse};
+use eecvs_nostd::transform::{Basis, Dct, Dtft};
 use eecvs_nostd::{Header, Level, Quantiser, Transform};
 
 use super::{Pixel, test_header};

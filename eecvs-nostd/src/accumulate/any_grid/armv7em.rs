@@ -18,8 +18,8 @@ pub fn cosines(turns: impl Iterator<Item = Turn>, sums: &mut [Sum]) {
         return sums.fill(Sum::ZERO);
     }
     // SAFETY: `add_cosines` reads as many turns and writes as many sums as it is told, which are
-    // there, and reads lines at rows below `ROWS`. The build script sets `eecvs_dsp` only for
-    // cores that have the instructions.
+    // there, and reads lines at rows below `ROWS`. This file is built only for cores that have the
+    // instructions.
     unsafe { add_cosines(sums.as_mut_ptr(), sums.len(), turns.as_ptr(), turns.len()) }
 }
 

@@ -31,7 +31,7 @@ use core::f64::consts::TAU;
 
 use crate::accumulate::cosine::{cos_of_row, round};
 use crate::fixed_point::{CHUNK_EVENTS, FRACTION_BITS, Phase, Sum, dot_add};
-use crate::transform::Impulse;
+use crate::group::impulse::Impulse;
 
 const ROWS_LOG2: u32 = 10;
 /// Rows of a turn.

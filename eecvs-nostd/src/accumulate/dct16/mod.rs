@@ -23,7 +23,7 @@ use core::f64::consts::FRAC_PI_2;
 use crate::accumulate::cosine::{cos_first_quarter, round};
 use crate::accumulate::dct8::{Weights, weigh};
 use crate::fixed_point::{FRACTION_BITS, Phase};
-use crate::transform::Impulse;
+use crate::group::impulse::Impulse;
 
 /// Largest K.
 pub const GRID: usize = 16;
@@ -39,9 +39,9 @@ pub(crate) const ONE: i32 = 1026;
 /// Bits of the distance from a row, whose weight is 1 for a whole row.
 const DISTANCE_BITS: u32 = super::dct8::DISTANCE_BITS;
 /// Where the row begins in 30 bits of u / 2, and the distance below it.
-#[cfg(eecvs_dsp)]
+#[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const ROW_AT: u32 = 30 - ROWS_LOG2;
-#[cfg(eecvs_dsp)]
+#[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const DISTANCE_AT: u32 = ROW_AT - DISTANCE_BITS;
 /// Largest atom: |c_k| < n is what lets the levels of n events do without a bit for n itself.
 const ATOM_MAX: i32 = (1 << FRACTION_BITS) - 1;

@@ -77,6 +77,31 @@ macro_rules! event {
 }
 pub(crate) use event;
 
+/// As [`dct8::of_list`], of grids of [`dct8::GRID`] and up to [`dct16::GRID`].
+#[inline(always)]
+pub(crate) fn of_list<'s>(
+    impulses: &Impulses<'s>,
+    scale: PhaseScale,
+    grid: usize,
+    sums: &mut [Sum],
+    otherwise: impl FnOnce(&mut [Sum]),
+) -> Option<Impulses<'s>> {
+    if grid == dct8::GRID
+        && let Some((_, sums)) = sums.split_first_mut()
+        && let Some(sums) = sums.first_chunk_mut()
+    {
+        return Some(seven(impulses, scale, sums));
+    }
+    if grid > dct8::GRID
+        && grid <= dct16::GRID
+        && let Some(sums) = sums.first_chunk_mut()
+    {
+        return Some(fifteen(impulses, scale, sums));
+    }
+    otherwise(sums);
+    None
+}
+
 /// sum p cos(pi k u) for k = 1..8 over the first impulses, at most a chunk of them, as
 /// [`dct8::cosines`]; returns the others.
 #[inline(always)]
@@ -91,8 +116,8 @@ pub fn seven<'s>(
         return impulses.clone();
     }
     let (shift, reciprocal) = scale.parts();
-    // SAFETY: the links of a list of `Impulses` are slots that are there, or its end. `add_seven` reads
-    // them and lines at rows below 512, and writes the sums. The build script sets `eecvs_dsp` only for
+    // SAFETY: the links of a list of `Impulses` are slots that are there, or its end. `add_seven`
+    // reads them and lines at rows below 512, and writes the sums. This file is built only for
     // cores that have the instructions.
     let next = unsafe { add_seven(slots.as_ptr(), next, &[shift, reciprocal], sums) };
     impulses.after(next)

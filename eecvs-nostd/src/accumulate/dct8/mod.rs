@@ -23,11 +23,9 @@ pub(crate) mod armv7em;
 use core::f64::consts::FRAC_PI_2;
 
 use crate::accumulate::cosine::{cos_of_row, round};
-#[cfg(eecvs_dsp)]
-use crate::fixed_point::Sum;
-use crate::fixed_point::{FRACTION_BITS, Phase, dot_add, negate_halves};
+use crate::fixed_point::{FRACTION_BITS, Phase, Sum, dot_add, negate_halves};
 use crate::group::Impulses;
-use crate::transform::Impulse;
+use crate::group::impulse::Impulse;
 use crate::transform::phase::PhaseScale;
 
 /// Largest K.
@@ -51,10 +49,10 @@ pub(crate) static LINES: Lines = table();
 /// Bits of the distance from a row, whose weight is 1 for a whole row.
 pub(crate) const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
 /// Where the row begins in 30 bits of u / 2, and the distance below it.
-#[cfg(eecvs_dsp)]
+#[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const ROW_AT: u32 = 30 - ROWS_LOG2;
 /// Where the distance begins.
-#[cfg(eecvs_dsp)]
+#[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const DISTANCE_AT: u32 = ROW_AT - DISTANCE_BITS;
 /// Weight of the cosine. Not 2^10, whose multiples are up to 2^-15 away from the largest atom.
 pub(crate) const ONE: i32 = 1056;
@@ -136,6 +134,24 @@ fn sums_of(impulses: impl Iterator<Item = Impulse>, half: impl Fn(Impulse) -> Ph
     }
     sums
 }
+
+/// The sums over the first impulses of a pixel's list, in assembly that keeps them in registers; returns the
+/// impulses after those. Where there is no such assembly, or none for `grid`, the sums are what `otherwise`
+/// makes of them, and nothing is returned.
+#[cfg(not(eecvs_dsp))]
+#[inline(always)]
+pub(crate) fn of_list<'s>(
+    _: &Impulses<'s>,
+    _: PhaseScale,
+    _grid: usize,
+    sums: &mut [Sum],
+    otherwise: impl FnOnce(&mut [Sum]),
+) -> Option<Impulses<'s>> {
+    otherwise(sums);
+    None
+}
+#[cfg(eecvs_dsp)]
+pub(crate) use armv7em::of_list;
 
 /// [`cosines`] of one window's pixels, with what they have in common.
 #[derive(Debug)]

@@ -15,6 +15,24 @@ use crate::group::Impulses;
 use crate::transform::phase::PhaseScale;
 use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
 
+/// As [`dtft16::of_list`].
+#[inline(always)]
+pub(crate) fn of_list<'s>(
+    impulses: &Impulses<'s>,
+    scale: PhaseScale,
+    grid: usize,
+    sums: &mut [Sum],
+    otherwise: impl FnOnce(&mut [Sum]),
+) -> Option<Impulses<'s>> {
+    if grid == GRID
+        && let Some(pairs) = sums.as_chunks_mut::<2>().0.first_chunk_mut()
+    {
+        return Some(exponentials(impulses, scale, pairs));
+    }
+    otherwise(sums);
+    None
+}
+
 /// sum p exp(-i 2 pi k u) for k = 1..16 over the first impulses, at most a chunk of them, as
 /// [`dtft16::exponentials`]; returns the others. The sum of k = 0 stays.
 #[inline(always)]
@@ -29,8 +47,8 @@ pub fn exponentials<'s>(
         return impulses.clone();
     }
     let (shift, reciprocal) = scale.parts();
-    // SAFETY: the links of a list of `Impulses` are slots that are there, or its end. The build script
-    // sets `eecvs_dsp` only for cores that have the instructions.
+    // SAFETY: the links of a list of `Impulses` are slots that are there, or its end. This file is
+    // built only for cores that have the instructions.
     let next = unsafe { add(slots.as_ptr(), next, &[shift, reciprocal], sums) };
     impulses.after(next)
 }

@@ -30,7 +30,7 @@ use core::f64::consts::{FRAC_PI_2, TAU};
 
 use crate::accumulate::cosine::cos_first_quarter;
 use crate::fixed_point::{CHUNK_EVENTS, FRACTION_BITS, Phase, Sum, dot_add, negate_halves};
-use crate::transform::Impulse;
+use crate::group::impulse::Impulse;
 
 /// K.
 pub const GRID: usize = 16;
@@ -139,6 +139,24 @@ pub fn exponentials(
     #[cfg(not(all(target_arch = "x86_64", target_feature = "sse2")))]
     portable::exponentials(impulses, half, sums);
 }
+
+/// The sums over the first impulses of a pixel's list, in assembly that keeps them in registers; returns the
+/// impulses after those. Where there is no such assembly, or none for `grid`, the sums are what `otherwise`
+/// makes of them, and nothing is returned.
+#[cfg(not(eecvs_dsp))]
+#[inline(always)]
+pub(crate) fn of_list<'s>(
+    _: &crate::group::Impulses<'s>,
+    _: crate::transform::phase::PhaseScale,
+    _grid: usize,
+    sums: &mut [Sum],
+    otherwise: impl FnOnce(&mut [Sum]),
+) -> Option<crate::group::Impulses<'s>> {
+    otherwise(sums);
+    None
+}
+#[cfg(eecvs_dsp)]
+pub(crate) use armv7em::of_list;
 
 /// The table in constant evaluation: the same bits on every machine.
 #[cfg(not(eecvs_small))]

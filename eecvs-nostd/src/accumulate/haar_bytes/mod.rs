@@ -9,17 +9,26 @@
 #[cfg_attr(target_feature = "sse2", allow(dead_code))]
 mod portable;
 
+#[cfg_attr(eecvs_dsp, allow(dead_code))]
+mod compare_portable;
+
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
-mod armv7em;
+mod compare_armv7em;
 
 #[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
 #[allow(unsafe_code)]
 mod sse2;
 
+#[cfg(eecvs_dsp)]
+use compare_armv7em as compare;
+#[cfg(not(eecvs_dsp))]
+use compare_portable as compare;
+
 use crate::fixed_point::CHUNK_EVENTS;
-use crate::transform::Impulse;
-use crate::transform::dwt::scale_of;
+use crate::group::impulse::Impulse;
+use crate::machine::HAS_DSP;
+use crate::transform::haar_scale::scale_of;
 use crate::transform::phase::PhaseScale;
 
 /// Largest K here.
@@ -62,7 +71,7 @@ const fn rows() -> Rows {
 }
 
 /// The table, for assembly.
-#[cfg(eecvs_dsp)]
+#[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const fn table() -> &'static Rows {
     &ROWS
 }
@@ -104,7 +113,7 @@ const fn thresholds(a: u32) -> [u32; 4] {
 
 #[inline(always)]
 const fn cut(threshold: u32) -> u32 {
-    if cfg!(eecvs_dsp) || threshold < 127 {
+    if HAS_DSP || threshold < 127 {
         threshold
     } else {
         127

@@ -1,5 +1,6 @@
 //! Words one by one.
 
+use super::compare::{nonzero, reach};
 use super::{ONES, Row, SIGNS, THRESHOLD_OF_WORD, WORDS, thresholds};
 
 /// D_k of K = 4 W, k at byte k.
@@ -24,23 +25,6 @@ impl<const W: usize> Flags<W> {
         let words = self.0.iter().rev();
         words.fold(0, |bits, word| (bits << 4) | gather(*word))
     }
-}
-
-#[cfg(eecvs_dsp)]
-use super::armv7em::{nonzero, reach};
-
-/// A 1 in the lanes that are `threshold` or above; all of both are below 128.
-#[cfg(not(eecvs_dsp))]
-#[inline(always)]
-const fn reach(word: u32, threshold: u32) -> u32 {
-    ((word | SIGNS).wrapping_sub(threshold) & SIGNS) >> 7
-}
-
-/// A 1 in the lanes that are not 0.
-#[cfg(not(eecvs_dsp))]
-#[inline(always)]
-const fn nonzero(word: u32) -> u32 {
-    ((((word & !SIGNS) + !SIGNS) | word) & SIGNS) >> 7
 }
 
 /// All bits of the lanes whose sign is set in `signs`, which has no others.
@@ -134,21 +118,21 @@ impl<const W: usize> Lanes<W> {
     }
 
     /// From sums of rows that began from half of a lane's range.
-    #[cfg(eecvs_dsp)]
+    #[allow(dead_code, reason = "assembly alone asks")]
     #[inline(always)]
     pub fn of_biased(words: [u32; W]) -> Self {
         Self(words.map(|word| word ^ SIGNS))
     }
 
     /// From words of bytes.
-    #[cfg(eecvs_dsp)]
+    #[allow(dead_code, reason = "assembly alone asks")]
     #[inline(always)]
     pub const fn new(words: [u32; W]) -> Self {
         Self(words)
     }
 
     /// The words of bytes.
-    #[cfg(eecvs_dsp)]
+    #[allow(dead_code, reason = "assembly alone asks")]
     #[inline(always)]
     pub const fn into_words(self) -> [u32; W] {
         self.0

@@ -6,7 +6,7 @@ use super::pixel::{Common, Pixel};
 use super::prediction::{Foretold, Prediction};
 use super::{CoefficientMemory, tell};
 use crate::coder::content::{Content, END};
-use crate::coder::dense::times::{CodedPixel, Following, Neighbour, Times};
+use crate::coder::dense::times::{CodedPixel, Following, LearnedTimes, Neighbour};
 use crate::coder::dense::{Dense, Step};
 use crate::coder::range::{Binary, Probability};
 use crate::pack::unpack::UnpackError;
@@ -219,7 +219,7 @@ pub(crate) trait Pixels: Content {
 
 /// What a frame came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Coded {
+pub(crate) struct CodedRows {
     pub(crate) pixels: u32,
     pub(crate) events: u32,
     /// More was learned than a decoder reads.
@@ -236,13 +236,13 @@ pub(crate) fn code<C: Binary, P: Pixels>(
     coder: &mut C,
     content: &mut P,
     common: &Common,
-) -> Result<Coded, UnpackError> {
+) -> Result<CodedRows, UnpackError> {
     let mut step = Tell {
         common,
         bytes_max: pixel_bytes_max(common),
         prediction,
         learned,
-        coded: Coded {
+        coded: CodedRows {
             pixels: 0,
             events: 0,
             overran: false,
@@ -252,7 +252,7 @@ pub(crate) fn code<C: Binary, P: Pixels>(
     let walked = dense.code_with(coder, content, &mut step);
     match step.failed {
         Some(error) => Err(error),
-        None => Ok(Coded {
+        None => Ok(CodedRows {
             overran: step.coded.overran || walked.overran,
             ..step.coded
         }),
@@ -265,14 +265,14 @@ struct Tell<'t> {
     bytes_max: usize,
     prediction: &'t mut Prediction,
     learned: &'t mut Learned,
-    coded: Coded,
+    coded: CodedRows,
     failed: Option<UnpackError>,
 }
 
 impl<P: Pixels> Step<P> for &mut Tell<'_> {
     fn pixel<C: Binary>(
         &mut self,
-        _: &mut Times,
+        _: &mut LearnedTimes,
         coder: &mut C,
         content: &mut P,
         on: bool,

@@ -89,12 +89,12 @@ impl Bits for Reader<'_, '_> {
 }
 
 /// [`Fields`] in bits.
-struct Coded<B> {
+struct LevelBits<B> {
     bits: B,
     means: Means,
 }
 
-impl<B: Bits> Fields for Coded<B> {
+impl<B: Bits> Fields for LevelBits<B> {
     fn flag(&mut self, _: usize, bit: bool) -> bool {
         self.bits.plain(bit.into(), 1) == 1
     }
@@ -200,7 +200,7 @@ impl Fast {
         let CoefficientMemory {
             pixel, prediction, ..
         } = memory;
-        let mut coded = Coded {
+        let mut coded = LevelBits {
             bits,
             means: self.means,
         };

@@ -2,9 +2,10 @@
 
 use super::pixel::{Common, Pixel, TOLD_GRID_MAX};
 use crate::fixed_point::{Coefficient, Sum};
+use crate::group::Impulse;
 use crate::prune::{Kept, low_frequency};
-use crate::transform::dwt::scale_of;
-use crate::transform::{Basis, Dct, Dtft, Dwt, Impulse, M_MAX, Rule, Transform};
+use crate::transform::haar_scale::scale_of;
+use crate::transform::{Basis, Dct, Dtft, Dwt, M_MAX, Rule, Transform};
 
 /// The coefficients, and which of them would be sent.
 #[derive(Debug, Clone)]

@@ -24,7 +24,7 @@ use crate::coder::dense::armv7em::state::Walk;
 use crate::coder::dense::model::Model;
 use crate::coder::dense::neighbourhood::Around;
 pub(crate) use crate::coder::dense::times::EVENT_BYTES_MAX;
-use crate::coder::dense::times::{Clock, CodedPixel, Following, Neighbour, Times as LearnedTimes};
+use crate::coder::dense::times::{Clock, CodedPixel, Following, LearnedTimes, Neighbour};
 use crate::event::Sensor;
 #[cfg(eecvs_dsp)]
 use core::cell::Cell;
@@ -83,7 +83,7 @@ pub const fn words(sensor: Sensor, has_previous: bool) -> usize {
 /// What was coded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Coded {
+pub struct CodedEvents {
     /// Events.
     pub events: u32,
     /// Pixels with events.
@@ -160,7 +160,7 @@ impl<'b> Dense<'b> {
         coder: &mut C,
         content: &mut T,
         times: Times,
-    ) -> Coded {
+    ) -> CodedEvents {
         let clock = Clock::new(times.count(), times.fine_bits());
         self.code_with(coder, content, clock)
     }
@@ -172,7 +172,7 @@ impl<'b> Dense<'b> {
         coder: &mut C,
         content: &mut T,
         #[cfg_attr(not(eecvs_dsp), allow(unused_mut))] mut step: S,
-    ) -> Coded {
+    ) -> CodedEvents {
         let mut frame = Frame {
             #[cfg(eecvs_dsp)]
             walk: step
@@ -180,7 +180,7 @@ impl<'b> Dense<'b> {
                 .filter(|clock| armv7em::serves(clock))
                 .map(|clock| Walk::new(clock)),
             step,
-            coded: Coded {
+            coded: CodedEvents {
                 events: 0,
                 pixels: 0,
                 overran: false,
@@ -547,7 +547,7 @@ pub(super) struct Made {
 /// What goes on from pixel to pixel.
 struct Frame<S> {
     step: S,
-    coded: Coded,
+    coded: CodedEvents,
     #[cfg(eecvs_dsp)]
     walk: Option<Walk>,
 }

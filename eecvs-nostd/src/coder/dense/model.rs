@@ -3,7 +3,7 @@
 use crate::coder::dense::neighbourhood::{
     PIXEL_CONTEXTS, POLARITY_CONTEXTS, RUN_CONTEXTS, SEGMENT_CONTEXTS,
 };
-use crate::coder::dense::times::Times;
+use crate::coder::dense::times::LearnedTimes;
 use crate::coder::range::Probability;
 
 /// What is learned of the rows' flags: by whether the row above and this one of the window before
@@ -18,7 +18,7 @@ pub struct Model {
     pub(super) runs: [Probability; RUN_CONTEXTS],
     pub(super) pixels: [Probability; PIXEL_CONTEXTS],
     pub(super) polarities: [Probability; POLARITY_CONTEXTS],
-    pub(super) times: Times,
+    pub(super) times: LearnedTimes,
 }
 
 impl Model {
@@ -29,7 +29,7 @@ impl Model {
         runs: [Probability::UNSET; _],
         pixels: [Probability::UNSET; _],
         polarities: [Probability::UNSET; _],
-        times: Times::UNSET,
+        times: LearnedTimes::UNSET,
     };
 
     /// Forgets everything.

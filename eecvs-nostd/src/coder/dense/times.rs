@@ -8,9 +8,9 @@
 //! all bits are right whether the others do.
 
 use crate::coder::content::{Content, END, Node};
+use crate::coder::range::symbols::Symbols;
 use crate::coder::range::{Binary, Probability};
 use crate::coder::scan::{FINE_BITS as BESIDE_BITS, fine_of, fine_parts};
-use crate::coder::symbols::Symbols;
 
 /// Bytes that an event takes at the most: 53 decisions of up to 7.4 bits, a symbol of 15, and 39 plain
 /// bits.
@@ -66,7 +66,7 @@ const TRIALS_PER_MATCH: u16 = 16;
 
 /// What is learned of times.
 #[derive(Debug, Clone)]
-pub(crate) struct Times {
+pub(crate) struct LearnedTimes {
     pub(crate) first: Symbols<FIRST_SYMBOLS>,
     pub(crate) more: [Probability; 3 * RESTS * 6 * 4 * 2],
     pub(crate) flips: [Probability; 16 * 2 * 3 * 3],
@@ -81,7 +81,7 @@ pub(crate) struct Times {
     pub(crate) matches: u16,
 }
 
-impl Times {
+impl LearnedTimes {
     pub(crate) const UNSET: Self = Self {
         first: Symbols::UNSET,
         more: [Probability::UNSET; _],
@@ -239,7 +239,7 @@ impl Clock {
     #[inline(always)]
     pub(crate) fn pixel<C: Binary, T: Content>(
         &mut self,
-        times: &mut Times,
+        times: &mut LearnedTimes,
         coder: &mut C,
         content: &mut T,
         first_on: bool,
@@ -325,7 +325,7 @@ impl Clock {
     #[inline(always)]
     fn first<C: Binary>(
         &self,
-        times: &mut Times,
+        times: &mut LearnedTimes,
         coder: &mut C,
         cell: u32,
         candidate: Option<u32>,
@@ -350,7 +350,7 @@ impl Clock {
     #[inline(always)]
     fn distance<C: Binary>(
         &self,
-        times: &mut Times,
+        times: &mut LearnedTimes,
         coder: &mut C,
         distance: u32,
         step: Step,
@@ -403,7 +403,7 @@ impl Clock {
     #[inline(always)]
     fn following<C: Binary, T: Content>(
         &self,
-        times: &mut Times,
+        times: &mut LearnedTimes,
         coder: &mut C,
         content: &T,
         distance: u32,
@@ -505,7 +505,13 @@ impl Clock {
 
     /// What is told beside a cell, where there is anything; returns both.
     #[inline(always)]
-    fn beside<C: Binary>(&self, times: &mut Times, coder: &mut C, cell: u32, told: u32) -> u32 {
+    fn beside<C: Binary>(
+        &self,
+        times: &mut LearnedTimes,
+        coder: &mut C,
+        cell: u32,
+        told: u32,
+    ) -> u32 {
         if self.beside_bits == 0 {
             return cell;
         }

@@ -6,8 +6,16 @@
 
 #[cfg(eecvs_dsp)]
 pub(crate) mod armv7em;
+#[cfg(eecvs_dsp)]
+mod shares_armv7em;
+mod shares_portable;
+pub mod symbols;
 
-use super::symbols::Symbols;
+#[cfg(eecvs_dsp)]
+use shares_armv7em::move_shares;
+#[cfg(not(eecvs_dsp))]
+use shares_portable::move_shares;
+use symbols::Symbols;
 
 /// Probability of a one, learned from the decisions made with it: 16 bits.
 ///

@@ -229,7 +229,7 @@ impl<'o> BitWriter<'o> {
     ///
     /// # Safety
     /// `writer` is valid.
-    #[cfg(eecvs_dsp)]
+    #[allow(dead_code, reason = "assembly alone asks")]
     #[allow(unsafe_code)]
     pub(crate) const unsafe fn raw_parts(
         writer: *mut Self,

@@ -26,8 +26,8 @@ pub fn put(
     }
     let counts = ((on + off) << 16) | on;
     // SAFETY: the pointer is that of the reference. `seven` writes `before` of `packer`, the
-    // position, and up to `WORDS_MAX` words from there on, which are there. The build script
-    // sets `eecvs_dsp` only for cores that have the instructions.
+    // position, and up to `WORDS_MAX` words from there on, which are there. This file is built only
+    // for cores that have the instructions.
     unsafe {
         let (position, words, _) = BitWriter::raw_parts(writer);
         seven(packer, index, counts, cosines, &mut *position, words)

@@ -3,6 +3,7 @@
 //! Everything is in locals: what is behind a reference would be loaded again after every store.
 
 use crate::evt2::{KIND_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, X_SHIFT, low_us, time_step_us};
+use crate::machine::HAS_LONG_PRODUCT;
 use crate::window::take_words::Intake;
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, Slot, index};
 
@@ -126,7 +127,7 @@ fn mark(bitmap: &mut [u32], segment: u32) {
 /// Index of the first segment of a word's row, of which there are `stride` in each.
 #[inline(always)]
 fn first_of_row(word: u32, stride: u32) -> u32 {
-    if cfg!(eecvs_thumb2) {
+    if HAS_LONG_PRODUCT {
         // The upper half of a product with y at the top: nothing has to be cut off it.
         let top = u64::from(word << (u32::BITS - SIDE_BITS));
         ((top * u64::from(stride << SIDE_BITS)) >> 32) as u32

@@ -10,12 +10,13 @@ use std::ops::Range;
 
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
 use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
+use eecvs_nostd::group::Impulse;
 use eecvs_nostd::pack::bits_lsb_first::BitWriter;
 use eecvs_nostd::pack::packer::Packer;
 use eecvs_nostd::prune::Kept;
 use eecvs_nostd::quantise::Levels;
 use eecvs_nostd::transform::phase::PhaseScale;
-use eecvs_nostd::transform::{Basis, GRID_MAX, Impulse, Rule, Transform};
+use eecvs_nostd::transform::{Basis, GRID_MAX, Rule, Transform};
 use eecvs_nostd::window::SEGMENT_PIXELS;
 use eecvs_nostd::{Event, Header, NoRoom, Polarity, Shape, bitmap_words, segments};
 

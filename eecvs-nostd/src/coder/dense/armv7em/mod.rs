@@ -16,35 +16,17 @@ use core::cell::Cell;
 use core::mem::offset_of;
 use core::ptr::null_mut;
 
-use crate::coder::dense::armv7em::state::Walk;
-use crate::coder::dense::armv7em::walk::{
-    FLAG, FULL, LEFT, ROW_FLAG, ROWS, walk_rows, walk_rows_after,
-};
+use crate::coder::content;
+use crate::coder::content::Parts;
+use crate::coder::dense::armv7em::state::{FLAG, FULL, LEFT, ROW_FLAG, ROWS, Walk};
+use crate::coder::dense::armv7em::walk::{walk_rows, walk_rows_after};
 use crate::coder::dense::model::Model;
-use crate::coder::dense::times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, Times};
+use crate::coder::dense::times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, LearnedTimes};
 use crate::coder::dense::{Begun, Made, row_of, rows};
 use crate::coder::range::{FINISH_BYTES, PLAIN_BITS, Probability, RangeParts};
 use crate::event::Sensor;
-use crate::group::{Group, Pixel};
-use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS, Window};
-
-/// An encoder's window, and how far it is coded.
-pub struct Parts<'p, 'w> {
-    pub(crate) group: &'p mut Group,
-    pub(crate) window: &'p mut Window<'w>,
-    /// Events left of the window.
-    pub(crate) left: &'p mut u32,
-    /// The pixel at which the output is full, its next slot, and whether there is one.
-    pub(crate) pixel: &'p mut Option<Pixel>,
-    pub(crate) at: &'p mut u32,
-    pub(crate) rest: &'p mut u32,
-}
-
-/// What is done with an encoder's window: a closure that is always inlined.
-pub trait Walks {
-    /// Does it.
-    fn walk(self, parts: Parts<'_, '_>) -> Walked;
-}
+use crate::group::Pixel;
+use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS};
 
 /// How far rows were coded.
 pub struct Walked {
@@ -73,7 +55,7 @@ pub(crate) struct Rows<'r, 'p, 'w> {
     above_is_active: bool,
     pixels: u32,
     flags: *mut [Probability; 4],
-    times: *const Times,
+    times: *const LearnedTimes,
 }
 
 impl Rows<'_, '_, '_> {
@@ -193,7 +175,9 @@ pub(crate) struct RowsWalk<'r> {
     pub(crate) has_previous: bool,
 }
 
-impl Walks for RowsWalk<'_> {
+impl content::Walk for RowsWalk<'_> {
+    type Walked = Walked;
+
     /// Codes rows up to where it ends.
     #[inline(always)]
     fn walk(self, parts: Parts<'_, '_>) -> Walked {
@@ -254,7 +238,7 @@ impl Walks for RowsWalk<'_> {
         }
         walk.trials = times
             .cast::<u8>()
-            .wrapping_add(offset_of!(Times, trials))
+            .wrapping_add(offset_of!(LearnedTimes, trials))
             .cast();
         walk.all_lists = lists.as_mut_ptr();
         walk.all_lasts = lasts.as_mut_ptr();
@@ -278,17 +262,18 @@ impl Walks for RowsWalk<'_> {
         };
         walk.columns_told = &raw mut rows.parts.group.columns;
         walk.rows = (&raw mut rows).cast();
-        // SAFETY: the pointers are those of exclusive references that outlive the call, of cells that only
-        // this writes while it runs, or of zeros, which it reads. The assembly reads and writes as many
-        // words of the rows as there are segments; entries of columns below 32 and slots at their heads and
-        // links, all of which `Group` has made of slots that are there; lists and last events of the
-        // sensor's columns, and reads the last event to the west of one that has it, which is no sensor's
-        // first. Its contexts are sums of bounded parts, as the twin's in Rust, and its symbols those of
-        // cells below `clock.cells`, where those of a window's events are. It writes bytes from `out` on,
-        // where there is room for a row's and a segment's flags and first event from `pixel_room` on, and
-        // for another event from `room` on. `next_segment`, `next_row` and `begin_row` have the only
-        // references to the group, the window and the times while they run. The build script sets
-        // `eecvs_dsp` only for cores that have the instructions.
+        // SAFETY: the pointers are those of exclusive references that outlive the call, of cells
+        // that only this writes while it runs, or of zeros, which it reads. The assembly reads and
+        // writes as many words of the rows as there are segments; entries of columns below 32 and
+        // slots at their heads and links, all of which `Group` has made of slots that are there;
+        // lists and last events of the sensor's columns, and reads the last event to the west of
+        // one that has it, which is no sensor's first. Its contexts are sums of bounded parts, as
+        // the twin's in Rust, and its symbols those of cells below `clock.cells`, where those of a
+        // window's events are. It writes bytes from `out` on, where there is room for a row's and a
+        // segment's flags and first event from `pixel_room` on, and for another event from `room`
+        // on. `next_segment`, `next_row` and `begin_row` have the only references to the group, the
+        // window and the times while they run. This file is built only for cores that have the
+        // instructions.
         let how = unsafe {
             if has_previous {
                 walk_rows_after(walk)

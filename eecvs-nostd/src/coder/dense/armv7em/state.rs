@@ -8,10 +8,21 @@ use crate::coder::dense::times::{
     Clock, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LASTS, LENGTHS, OF_LAST, OF_LAST_LATE,
     OF_LAST_MORE, OF_NEAR, PREFIX_CONTEXTS, RESTS,
 };
+use crate::coder::range::symbols::Symbols;
 use crate::coder::range::{Probability, RATES};
-use crate::coder::symbols::Symbols;
 use crate::group::Entry;
 use crate::window::Slot;
+
+/// What the assembly ends with: the columns' end, a column that it leaves to the loop in Rust, the
+/// window's last event, and an output that is full.
+pub(crate) const DONE: u32 = 0;
+pub(crate) const LEFT: u32 = 1;
+pub(crate) const OVER: u32 = 2;
+pub(crate) const FULL: u32 = 3;
+/// The same of rows: all of them, and a segment's or a row's flag that is left to the loop in Rust.
+pub(crate) const ROWS: u32 = 4;
+pub(crate) const FLAG: u32 = 5;
+pub(crate) const ROW_FLAG: u32 = 6;
 
 /// What the assembly knows; it addresses all from `rates` on.
 #[derive(Debug)]

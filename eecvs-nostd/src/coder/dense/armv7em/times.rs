@@ -5,17 +5,16 @@
 use core::arch::naked_asm;
 use core::mem::offset_of;
 
-use crate::coder::dense::armv7em::state::Walk;
-use crate::coder::dense::armv7em::walk::{DONE, FULL, OVER};
+use crate::coder::dense::armv7em::state::{DONE, FULL, OVER, Walk};
 use crate::coder::dense::times::{
-    DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LENGTHS, LOOK_AHEAD, NEARS, PREFIX_CONTEXTS,
-    PREFIX_FIRST, PREFIX_LENGTHS, TRIAL_LENGTH, TRIALS_MAX, Times,
+    DISTANCES, FIRST_BITS, FIRST_SYMBOLS, LENGTHS, LOOK_AHEAD, LearnedTimes, NEARS,
+    PREFIX_CONTEXTS, PREFIX_FIRST, PREFIX_LENGTHS, TRIAL_LENGTH, TRIALS_MAX,
 };
 use crate::coder::range::armv7em::{
     at, carry, learn, one, plain, renew, renew_twice, symbol, zero,
 };
+use crate::coder::range::symbols::Symbols;
 use crate::coder::range::{PLAIN_BITS, Probability};
-use crate::coder::symbols::Symbols;
 
 const PREFIX_BYTES: usize = PREFIX_CONTEXTS * size_of::<Probability>();
 
@@ -404,7 +403,7 @@ pub(crate) unsafe extern "C" fn follow() {
         prefix_bytes = const PREFIX_BYTES,
         first_prefix = const PREFIX_FIRST * PREFIX_BYTES,
         trials = const at(offset_of!(Walk, trials)),
-        matches = const offset_of!(Times, matches) as isize - offset_of!(Times, trials) as isize,
+        matches = const offset_of!(LearnedTimes, matches) as isize - offset_of!(LearnedTimes, trials) as isize,
         trial_length = const TRIAL_LENGTH,
         first_bits = const FIRST_BITS,
         trials_max = const TRIALS_MAX,

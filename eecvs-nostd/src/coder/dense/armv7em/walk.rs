@@ -5,28 +5,17 @@
 use core::arch::naked_asm;
 use core::mem::offset_of;
 
-use crate::coder::dense::armv7em::state::Walk;
+use crate::coder::dense::armv7em::state::{FLAG, FULL, LEFT, OVER, ROW_FLAG, ROWS, Walk};
 use crate::coder::dense::armv7em::times::{follow, more, renew_distance, renew_first, rest};
 use crate::coder::dense::armv7em::{begin_row, next_row, next_segment};
 use crate::coder::dense::times::{COARSE, DISTANCES, FIRST_BITS, FIRST_SYMBOLS, RESTS};
 use crate::coder::range::armv7em::{
     at, carry, learn, one, plain, renew, renew_twice, symbol, zero,
 };
+use crate::coder::range::symbols::Symbols;
 use crate::coder::range::{PLAIN_BITS, Probability};
-use crate::coder::symbols::Symbols;
 use crate::group::Entry;
 use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
-
-/// What the assembly ends with: the columns' end, a column that it leaves to the loop in Rust, the
-/// window's last event, and an output that is full.
-pub(crate) const DONE: u32 = 0;
-pub(crate) const LEFT: u32 = 1;
-pub(crate) const OVER: u32 = 2;
-pub(crate) const FULL: u32 = 3;
-/// The same of rows: all of them, and a segment's or a row's flag that is left to the loop in Rust.
-pub(crate) const ROWS: u32 = 4;
-pub(crate) const FLAG: u32 = 5;
-pub(crate) const ROW_FLAG: u32 = 6;
 
 // What the assembly takes for granted.
 const _: () = assert!(SLOTS_MAX < 1 << 15 && NO_SLOT >= 1 << 15 && NEXT_SHIFT == 16);

@@ -13,7 +13,7 @@ use core::mem::offset_of;
 
 use crate::coder::bits_msb_first::BigWriter;
 use crate::coder::fast::{END, FLIP, Fast, Gaps, ROOM_WORDS, TERM_PIXELS, TERM_SHIFT};
-use crate::group::armv7em::{Source, next_segments};
+use crate::group::source::{Source, next_segments};
 use crate::group::{Entry, Group};
 use crate::window::{
     COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window,
@@ -145,11 +145,11 @@ pub fn walk(
         borrowed: PhantomData,
     };
     // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns`
-    // reads and writes heads of segments that the window's bitmap has, and slots at heads and links,
-    // all of which `Window` has made of slots that it has filled, or of entries that this or `Group`
-    // has made of those; reads and writes entries of columns below 32; and writes words before
-    // `limit` and one at it, which are there. The build script sets `eecvs_dsp` only for cores that
-    // have the instructions.
+    // reads and writes heads of segments that the window's bitmap has, and slots at heads and
+    // links, all of which `Window` has made of slots that it has filled, or of entries that this or
+    // `Group` has made of those; reads and writes entries of columns below 32; and writes words
+    // before `limit` and one at it, which are there. This file is built only for cores that have
+    // the instructions.
     unsafe { walk_columns(&mut walk) };
     // SAFETY: the references that they were made of are not used before this.
     let group = unsafe { &mut *walk.source.group };

@@ -1,6 +1,21 @@
-//! The fast coder's walk over a window's pixels, on cores of 32 bits.
+//! The fast coder's walk over a window's pixels, on cores of 32 bits; others have the loop of
+//! [`window_events`](crate::coder::window_events) alone.
 
 #[cfg(eecvs_dsp)]
-pub(crate) mod armv7em;
+mod armv7em;
+#[cfg(target_pointer_width = "64")]
+mod none;
 #[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
-pub(crate) mod portable32;
+mod portable32;
+
+use crate::machine::IS_64_BIT;
+
+#[cfg(eecvs_dsp)]
+pub(crate) use armv7em::walk;
+#[cfg(target_pointer_width = "64")]
+pub(crate) use none::walk;
+#[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
+pub(crate) use portable32::walk;
+
+/// Whether it is worth calling [`walk`].
+pub(crate) const IS_THERE: bool = !IS_64_BIT;

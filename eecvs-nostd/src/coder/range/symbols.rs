@@ -3,12 +3,7 @@
 //! They stay as they are for a block of symbols, at most `BLOCK`, and then move towards what the
 //! block had: a symbol costs one count, and a block one pass over the table.
 
-#[cfg(eecvs_dsp)]
-mod armv7em;
-
-use super::range::SCALE;
-#[cfg(eecvs_dsp)]
-use crate::coder::symbols::armv7em::move_shares;
+use super::{SCALE, move_shares};
 
 /// Symbols from one renewal to the next, once the table has seen enough.
 const BLOCK: u8 = 32;
@@ -22,9 +17,9 @@ const SEEN_MAX: u16 = 1024;
 #[repr(C)]
 pub struct Symbols<const N: usize> {
     /// Where each symbol's share of [`SCALE`] begins; the last is the end.
-    starts: [u16; N],
+    pub(super) starts: [u16; N],
     /// How often each came in the block at hand.
-    counts: [u8; N],
+    pub(super) counts: [u8; N],
     /// Symbols left of the block, and symbols seen before it.
     left: u8,
     seen: u16,
@@ -40,17 +35,17 @@ impl<const N: usize> Symbols<N> {
     };
 
     /// Where the counts and what is left of the block are, for assembly.
-    #[cfg(eecvs_dsp)]
-    pub(super) const COUNTS_AT: usize = core::mem::offset_of!(Self, counts);
-    #[cfg(eecvs_dsp)]
-    pub(super) const LEFT_AT: usize = core::mem::offset_of!(Self, left);
+    #[allow(dead_code, reason = "assembly alone asks")]
+    pub(in crate::coder) const COUNTS_AT: usize = core::mem::offset_of!(Self, counts);
+    #[allow(dead_code, reason = "assembly alone asks")]
+    pub(in crate::coder) const LEFT_AT: usize = core::mem::offset_of!(Self, left);
 
     /// Whether assembly may move the shares: the table ends a turn of four symbols, or is one short of it,
     /// and never moves all of the way.
-    #[cfg(eecvs_dsp)]
-    const IS_MOVED_BY_FOURS: bool = N >= 8 && N % 4 <= 1;
+    #[allow(dead_code, reason = "assembly alone asks")]
+    pub(super) const IS_MOVED_BY_FOURS: bool = N >= 8 && N % 4 <= 1;
 
-    const COUNT: u32 = {
+    pub(super) const COUNT: u32 = {
         assert!(N >= 2 && N <= 256);
         N as u32 - 1
     };
@@ -68,7 +63,7 @@ impl<const N: usize> Symbols<N> {
         self.seen = N as u16 / 8;
     }
 
-    fn end(&mut self) {
+    pub(super) fn end(&mut self) {
         if let Some(end) = self.starts.last_mut() {
             *end = SCALE as u16;
         }
@@ -115,50 +110,16 @@ impl<const N: usize> Symbols<N> {
 
     /// Moves the frequencies towards those of the block, each at least 1.
     #[inline(never)]
-    pub(super) fn renew(&mut self) {
+    pub(in crate::coder) fn renew(&mut self) {
         // The block's length was a power of two, from what had been seen.
         let block = block(self.seen.saturating_sub(N as u16 / 8));
         let seen = (self.seen + u16::from(block)).min(SEEN_MAX);
         let rate = (u32::from(block) << 16) / u32::from(seen.max(1));
         // What there is beyond one each, for one of the block.
         let each = (SCALE - Self::COUNT) / u32::from(block);
-        self.move_shares(each, rate >> 1);
+        move_shares(self, each, rate >> 1);
         self.seen = seen;
         self.left = self::block(seen - N as u16 / 8);
-    }
-
-    /// Moves the shares, beyond one each, by `rate` / 2^15 of the way towards `each` times the counts, and
-    /// forgets those.
-    #[inline(always)]
-    fn move_shares(&mut self, each: u32, rate: u32) {
-        #[cfg(eecvs_dsp)]
-        if Self::IS_MOVED_BY_FOURS {
-            let turns = Self::COUNT.div_ceil(4);
-            // SAFETY: the starts, counts and what is left of the block are behind each other, so that what
-            // the last turn reads and writes beyond the last symbol is of this table, and is set anew below
-            // and by the caller. The build script sets `eecvs_dsp` only for cores that have the
-            // instructions.
-            #[allow(unsafe_code)]
-            unsafe {
-                let table = (&raw mut *self).cast::<u8>();
-                let counts = table.wrapping_add(Self::COUNTS_AT);
-                move_shares(table.cast(), counts, turns, 2 * each, rate);
-            }
-            self.end();
-            return;
-        }
-        let (each, rate) = (each as i32, rate as i32);
-        let (mut begin, mut at) = (0_i32, 0_i32);
-        for i in 0..N - 1 {
-            let end = i32::from(self.starts[i + 1]);
-            let old = end - begin - 1;
-            begin = end;
-            self.starts[i] = at as u16;
-            let target = i32::from(self.counts[i]) * each;
-            self.counts[i] = 0;
-            // Below 2^15 times 2^16, and rounded down: what is missing at the end is the last's.
-            at += 1 + old + (((target - old) * rate) >> 15);
-        }
     }
 }
 

@@ -8,9 +8,12 @@
 //! 2^-25; and what k times the phase's error makes ([`crate::transform::phase`]). Measured with all of it: see
 //! [`super::Recurrence`].
 
+#[cfg(eecvs_dsp)]
+mod armv7em;
+
 use crate::accumulate::cosine::{cos, cos_sin};
 use crate::fixed_point::{Atom, CHUNK_EVENTS, Phase, Sum, mul_high_add, mul_high_round};
-use crate::transform::Impulse;
+use crate::group::impulse::Impulse;
 
 /// Coefficients from one start of the recurrence to the next.
 pub const RUN: usize = 32;
@@ -68,54 +71,12 @@ impl Oscillator {
     }
 
     /// [`Self::add`] of seven, as many sums as stay in registers beside the rest.
-    #[cfg(not(eecvs_dsp))]
     #[inline(always)]
     fn add_seven(&mut self, sums: &mut [i32; 7]) {
+        #[cfg(eecvs_dsp)]
+        armv7em::add_seven(self, sums);
+        #[cfg(not(eecvs_dsp))]
         self.add(sums);
-    }
-
-    /// The same bits in one piece: the compiler's own order of these instructions keeps more
-    /// values alive than there are registers, and twice as many instructions move them about.
-    #[cfg(eecvs_dsp)]
-    #[allow(unsafe_code)]
-    #[inline(always)]
-    fn add_seven(&mut self, sums: &mut [i32; 7]) {
-        let [s1, s2, s3, s4, s5, s6, s7] = sums;
-        // SAFETY: registers alone are read and written, all of them operands; neither memory nor
-        // flags are touched. The build script sets `eecvs_dsp` only for cores that have the
-        // instructions.
-        unsafe {
-            core::arch::asm!(
-                "smmla {s1}, {now}, {weight}, {s1}",
-                "smmulr {next}, {cos}, {now}",
-                "rsb {before}, {before}, {next}, lsl #3",
-                "smmla {s2}, {before}, {weight}, {s2}",
-                "smmulr {next}, {cos}, {before}",
-                "rsb {now}, {now}, {next}, lsl #3",
-                "smmla {s3}, {now}, {weight}, {s3}",
-                "smmulr {next}, {cos}, {now}",
-                "rsb {before}, {before}, {next}, lsl #3",
-                "smmla {s4}, {before}, {weight}, {s4}",
-                "smmulr {next}, {cos}, {before}",
-                "rsb {now}, {now}, {next}, lsl #3",
-                "smmla {s5}, {now}, {weight}, {s5}",
-                "smmulr {next}, {cos}, {now}",
-                "rsb {before}, {before}, {next}, lsl #3",
-                "smmla {s6}, {before}, {weight}, {s6}",
-                "smmulr {next}, {cos}, {before}",
-                "rsb {now}, {now}, {next}, lsl #3",
-                "smmla {s7}, {now}, {weight}, {s7}",
-                "smmulr {next}, {cos}, {now}",
-                "rsb {before}, {before}, {next}, lsl #3",
-                s1 = inout(reg) *s1, s2 = inout(reg) *s2, s3 = inout(reg) *s3, s4 = inout(reg) *s4,
-                s5 = inout(reg) *s5, s6 = inout(reg) *s6, s7 = inout(reg) *s7,
-                cos = in(reg) self.cos, weight = in(reg) self.weight,
-                before = inout(reg) self.before => self.now,
-                now = inout(reg) self.now => self.before,
-                next = out(reg) _,
-                options(pure, nomem, nostack, preserves_flags),
-            );
-        }
     }
 }
 

@@ -1,7 +1,28 @@
-//! The pass over a table of [`symbols`](super) in assembly, four symbols a turn.
+//! The pass over a table of [`Symbols`] in assembly, four symbols a turn.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
+
+use super::shares_portable;
+use super::symbols::Symbols;
+
+/// As [`shares_portable::move_shares`], in assembly where the table's length lets it.
+#[inline(always)]
+pub(super) fn move_shares<const N: usize>(table: &mut Symbols<N>, each: u32, rate: u32) {
+    if !Symbols::<N>::IS_MOVED_BY_FOURS {
+        return shares_portable::move_shares(table, each, rate);
+    }
+    let turns = Symbols::<N>::COUNT.div_ceil(4);
+    // SAFETY: the starts, counts and what is left of the block are behind each other, so that what the
+    // last turn reads and writes beyond the last symbol is of this table, and is set anew below and by
+    // the caller. This file is only for cores that have the instructions.
+    unsafe {
+        let table = (&raw mut *table).cast::<u8>();
+        let counts = table.wrapping_add(Symbols::<N>::COUNTS_AT);
+        move_by_fours(table.cast(), counts, turns, 2 * each, rate);
+    }
+    table.end();
+}
 
 /// Moves the frequencies of a table's `starts` towards its `counts`, which become 0; `turns` of four symbols.
 ///
@@ -12,7 +33,7 @@ use core::arch::naked_asm;
 /// # Safety
 /// There are 4 * turns + 1 starts, and as many counts as 4 * turns.
 #[unsafe(naked)]
-pub(super) unsafe extern "C" fn move_shares(
+unsafe extern "C" fn move_by_fours(
     starts: *mut u16,
     counts: *mut u8,
     turns: u32,

@@ -1,4 +1,4 @@
-//! Two instructions for four.
+//! Comparisons of the lanes of a word: two instructions for four.
 
 use super::ONES;
 
@@ -6,7 +6,7 @@ use super::ONES;
 #[inline(always)]
 pub fn reach(word: u32, threshold: u32) -> u32 {
     let flags;
-    // SAFETY: reads and writes registers and the flags alone; the build script sets `eecvs_dsp`
+    // SAFETY: reads and writes registers and the flags alone; this file is
     // only for cores that have the instructions.
     unsafe {
         core::arch::asm!("usub8 {flags}, {word}, {threshold}", "sel {flags}, {ones}, {zero}",
