@@ -32,7 +32,7 @@ bless() { EECVS_BLESS=1 cargo test --release --quiet -p eecvs-tests --test "$1" 
 part() {
     case $1 in
         demo)
-            eecvs demo -o target/demo --save README.md --record "$record"
+            eecvs demo --overwrite -o target/demo --save README.md --record "$record"
             ;;
         kernels) eecvs bench --save README.md --record "$record" ;;
         rates) eecvs bench --rate --save README.md --save METHODOLOGY.md --record "$record" ;;

@@ -141,10 +141,11 @@ impl VolumeFile {
         let mut out = OutputFile::create(&self.path)?;
         match self.kind {
             Kind::Npy => {
+                // Neither file is there without the other.
+                let times = times_of(&self.path, self.all).map(|path| OutputFile::create(&path));
                 write_array(&mut out, "<f4", &sides, values).with_context(context)?;
-                out.finish()?;
-                if self.all {
-                    let mut out = OutputFile::create(&times_beside(&self.path))?;
+                if let Some(times) = times {
+                    let mut out = times?;
                     let bytes: Vec<u8> = self
                         .times
                         .iter()
@@ -155,6 +156,7 @@ impl VolumeFile {
                         .with_context(context)?;
                     out.finish()?;
                 }
+                out.finish()?;
             }
             Kind::Npz => {
                 write_npz(&mut out, &sides, values, &self.times).with_context(context)?;
@@ -221,6 +223,13 @@ fn header(dtype: &str, sides: &[usize]) -> Vec<u8> {
     bytes.extend((text.len() as u16).to_le_bytes());
     bytes.extend(text.into_bytes());
     bytes
+}
+
+/// The file of times that the volumes of `all` windows in this file have beside them.
+#[must_use]
+pub fn times_of(path: &Path, all: bool) -> Option<PathBuf> {
+    let is_npy = kind(path).is_ok_and(|kind| kind == Kind::Npy);
+    (all && is_npy).then(|| times_beside(path))
 }
 
 /// `NAME.times.npy` beside `NAME.npy`.

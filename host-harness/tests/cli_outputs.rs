@@ -26,7 +26,13 @@ fn outputs_are_refused_before_anything_is_done() {
     std::fs::hard_link(folder.path("hot.txt"), folder.path("hot.eecvs")).unwrap();
     std::fs::create_dir(folder.path("frames")).unwrap();
     folder.write("frames/frame_000007.png", "stale");
-    for name in ["keep.svg", "keep.toml", "keep.gif", "keep.npy"] {
+    for name in [
+        "keep.svg",
+        "keep.toml",
+        "keep.gif",
+        "keep.npy",
+        "v.times.npy",
+    ] {
         folder.write(name, "kept");
     }
     let before = names(&folder);
@@ -56,6 +62,14 @@ fn outputs_are_refused_before_anything_is_done() {
         ("decode good.eecvs -o old.csv", "--overwrite"),
         ("decode good.eecvs -o out.eecvs", "eecvs encode"),
         ("decode good.eecvs --volume keep.npy", "--overwrite"),
+        (
+            "decode good.eecvs --volume v.npy --all-windows",
+            "v.times.npy|--overwrite",
+        ),
+        (
+            "decode good.eecvs -o w.times.npy --volume w.npy --all-windows",
+            "same file",
+        ),
         ("decode good.eecvs --volume out.raw", "another kind"),
         (
             "decode good.eecvs --volume keep.npy --overwrite --window 999",

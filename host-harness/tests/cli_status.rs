@@ -27,7 +27,7 @@ const READ_ANY: usize = 7;
 /// A kind of loss: file, whether it is of frames, status, part of what is said on stderr (nothing: silence).
 type Kind = (&'static str, bool, i32, &'static str);
 
-const KINDS: [Kind; 27] = [
+const KINDS: [Kind; 31] = [
     ("whole.raw", false, 0, ""),
     ("whole.eecvs", true, 0, ""),
     // Nothing is lost where a clock falls back: runs begin.
@@ -51,6 +51,10 @@ const KINDS: [Kind; 27] = [
     ("two.arrow", false, 1, "another recording"),
     ("two.arrows", false, 1, "another recording"),
     ("two.h5", false, 1, "another recording"),
+    ("two.mcap", false, 1, "another recording"),
+    ("two.db3", false, 1, "another recording"),
+    ("two.bag", false, 1, "two.bag"),
+    ("short.csv", false, 1, "line 2"),
     ("cut.eecvs", true, 1, "damaged bytes"),
     ("flipped.eecvs", true, 1, "damaged bytes"),
     ("lost.eecvs", true, 1, "frames lost"),
@@ -124,11 +128,16 @@ fn files(folder: &Folder) {
         "two.arrow",
         "two.arrows",
         "two.h5",
+        "two.mcap",
+        "two.db3",
+        "two.bag",
     ] {
         folder.eecvs(&format!("convert whole.raw {name}")).ok();
         let one = folder.bytes(name);
         folder.write(name, [one.clone(), one].concat());
     }
+    // Not the sensor's size, which stands before everything else.
+    folder.write("short.csv", "t,x,y,p\n1000,63\n1010,5,5,1\n");
     folder.write("unknown.bin", [0x1b; 999]);
     folder.write("garbage.eecvs", [0x1b; 999]);
 }

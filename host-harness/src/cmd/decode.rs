@@ -15,7 +15,7 @@ use crate::output::{Kind, is_same};
 use crate::progress::Progress;
 use crate::reconstruct::events::Finder;
 use crate::reconstruct::volume::Maker;
-use crate::volume_file::VolumeFile;
+use crate::volume_file::{VolumeFile, times_of};
 
 /// Decode frames into events, a coefficient volume or a volume of time bins
 #[derive(Debug, Args)]
@@ -68,15 +68,20 @@ impl Decode {
     /// cannot be written. Where frames are damaged or missing the outputs have everything else.
     pub fn run(self) -> Result<()> {
         let name = name_of(&self.input);
-        let both = self.output.as_ref().zip(self.volume.as_ref());
-        ensure!(
-            both.is_none_or(|(output, volume)| output != volume && !is_same(output, volume)),
-            "{}: -o and --volume are the same file: give one of them another name",
-            self.output.as_deref().unwrap_or(&self.input).display()
-        );
+        let volume = self.volume.as_deref();
+        let times = volume.and_then(|volume| times_of(volume, self.all_windows));
+        for volume in [volume, times.as_deref()].into_iter().flatten() {
+            let output = self.output.as_deref();
+            ensure!(
+                output.is_none_or(|output| output != volume && !is_same(output, volume)),
+                "{}: -o and --volume write the same file: give one of them another name",
+                volume.display()
+            );
+        }
         let outputs = [
             (&self.output, self.format.kind()),
             (&self.volume, Kind::Volume),
+            (&times, Kind::Volume),
         ];
         for (output, kind) in outputs {
             if let Some(output) = output {

@@ -81,11 +81,12 @@ impl Demo {
         if let Some(document) = &self.save {
             MARKS.check(document)?;
         }
-        let report = self.output.join(REPORT);
+        // What an earlier run left half done is in the way as well.
+        let is_used = fs::read_dir(&self.output).is_ok_and(|mut entries| entries.next().is_some());
         ensure!(
-            self.overwrite || !report.exists(),
-            "{}: is there already: choose another folder or --overwrite",
-            report.display()
+            self.overwrite || !is_used,
+            "{}: has files already: choose another folder or --overwrite",
+            self.output.display()
         );
         fs::create_dir_all(&self.output)
             .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
@@ -156,6 +157,7 @@ impl Demo {
             pictures: &pictures,
             rows: &rows,
         };
+        let report = self.output.join(REPORT);
         output::write(&report, page.html())?;
         let files: Vec<_> = pictures
             .iter()

@@ -342,7 +342,11 @@ impl Start {
             if is_before {
                 let fields = split(&lines.line);
                 let numbers: Vec<_> = fields.iter().map(|field| Decimal::parse(field)).collect();
-                if let ([Some(width), Some(height)], None) = (numbers.as_slice(), start.size) {
+                // Below names of columns two numbers are an event of which some is missing.
+                if let ([Some(width), Some(height)], None) = (numbers.as_slice(), start.size)
+                    && !has_names
+                    && comment.is_none()
+                {
                     start.size = width.whole().zip(height.whole());
                     if start.size.is_some() {
                         continue;

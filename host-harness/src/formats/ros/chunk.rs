@@ -2,6 +2,8 @@
 
 use std::io::Read;
 
+use crc::{CRC_32_ISO_HDLC, Crc, Table};
+
 use super::decoder::MESSAGE_MAX;
 use crate::formats::input::Input;
 
@@ -31,6 +33,11 @@ impl Chunk {
         Some(next)
     }
 }
+
+/// Bytes read at once where they are only looked at.
+const BLOCK_BYTES: usize = 1 << 16;
+
+static CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
 /// Longest index that is read: some 10^6 chunks.
 const INDEX_MAX: u64 = 1 << 27;
@@ -208,7 +215,7 @@ impl Chunked {
     /// Reads a chunk's next `packed` bytes, which become `size` bytes of records by the named
     /// compression: `lz4`, `bz2`, `zstd`, or none (empty or `none`), where the file is read on.
     ///
-    /// What can be decompressed of a chunk that is damaged, or was cut off, comes before the error.
+    /// What can be decompressed of a chunk that was cut off comes before the error, and nothing of one that is damaged.
     ///
     /// # Errors
     /// A chunk in a chunk, a length that no chunk has.
@@ -272,6 +279,10 @@ impl Chunked {
                 format!("a chunk cannot be decompressed ({what}): it is damaged"),
             )),
         };
+        // Of a chunk that is all there nothing is known to be right before the damage was found.
+        if fault.is_some() && missing == 0 {
+            bytes.clear();
+        }
         let next = 0;
         self.chunk = Some(Chunk {
             bytes,
@@ -280,6 +291,75 @@ impl Chunked {
             fault,
         });
         Ok(())
+    }
+
+    /// Checks the CRC-32 of the `size` bytes of a chunk that has been entered. What is not all there has none, and
+    /// the end of the file is met when it is read.
+    ///
+    /// # Errors
+    /// Another CRC, before any record of the chunk; I/O.
+    pub fn check(&mut self, crc: u32, size: u64) -> anyhow::Result<()> {
+        let found = match &self.chunk {
+            Some(Chunk { fault: Some(_), .. }) => return Ok(()),
+            Some(Chunk { bytes, .. }) => CRC.checksum(bytes),
+            None => {
+                let start = self.input.offset();
+                let mut digest = CRC.digest();
+                let mut left = size;
+                let mut block = vec![0; BLOCK_BYTES];
+                while left > 0 {
+                    let most = usize::try_from(left)
+                        .unwrap_or(BLOCK_BYTES)
+                        .min(BLOCK_BYTES);
+                    let block = block.get_mut(..most).unwrap_or_default();
+                    let filled = self.input.fill(block)?;
+                    digest.update(block.get(..filled).unwrap_or_default());
+                    left -= filled as u64;
+                    if filled < most {
+                        break;
+                    }
+                }
+                self.input.seek(start)?;
+                if left > 0 {
+                    return Ok(());
+                }
+                digest.finalize()
+            }
+        };
+        if found == crc {
+            return Ok(());
+        }
+        Err(self.error(format!(
+            "the CRC of this chunk is {found:08x} instead of {crc:08x}: it is damaged"
+        )))
+    }
+
+    /// Where `mark` stands behind the present position, which stays, within what a summary may take.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn find(&mut self, mark: &[u8]) -> anyhow::Result<Option<u64>> {
+        let start = self.input.offset();
+        // Nothing is waited for where the file grows.
+        let end = self.length()?;
+        let mut block = vec![0; BLOCK_BYTES + mark.len()];
+        let mut at = start;
+        let found = loop {
+            self.input.seek(at)?;
+            let here = usize::try_from(end.saturating_sub(at)).unwrap_or(block.len());
+            let most = here.min(block.len());
+            let filled = self.input.fill(block.get_mut(..most).unwrap_or_default())?;
+            let bytes = block.get(..filled).unwrap_or_default();
+            if let Some(place) = bytes.windows(mark.len()).position(|bytes| bytes == mark) {
+                break Some(at + place as u64);
+            }
+            if filled < block.len() || at - start > INDEX_MAX {
+                break None;
+            }
+            at += BLOCK_BYTES as u64;
+        };
+        self.input.seek(start)?;
+        Ok(found)
     }
 
     /// Error at the present position.

@@ -11,7 +11,7 @@
 use std::io::{Seek, SeekFrom};
 use std::path::Path;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use eecvs_nostd::Sensor;
 use rusqlite::{Connection, OpenFlags, OptionalExtension};
 
@@ -21,7 +21,9 @@ use super::fields::Serialisation;
 use super::message::Kind;
 use super::packets::t_max_us;
 use super::topics::{Topics, Use};
+use crate::formats::following::{self, ANOTHER};
 use crate::formats::format::{Format, Limits, Opening};
+use crate::formats::input::ReadSeek;
 use crate::formats::{EventReader, EventWriter, Skipped};
 
 /// First bytes of every SQLite database.
@@ -60,6 +62,10 @@ fn open(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
         reading,
     } = opening;
     let size = reading.size;
+    let another = followed(source.as_mut()).with_context(|| format!("{name}: cannot be read"))?;
+    if let Some(end) = another {
+        bail!("{name}: byte {end}: {ANOTHER}");
+    }
     let database = match path {
         Some(path) => Database::new(path, name)?,
         None => {
@@ -75,6 +81,27 @@ fn open(opening: Opening) -> anyhow::Result<Box<dyn EventReader>> {
     };
     let reader = RosReader::new(Box::new(database), place, size)?;
     Ok(Box::new(reader))
+}
+
+/// Where another database begins, of which SQLite would not say a word.
+fn followed(source: &mut dyn ReadSeek) -> std::io::Result<Option<u64>> {
+    let mut header = [0; 100];
+    source.seek(SeekFrom::Start(0))?;
+    if source.read_exact(&mut header).is_err() {
+        return Ok(None);
+    }
+    let number = |at: usize| {
+        let bytes = header.get(at..).and_then(|rest| rest.first_chunk());
+        bytes.copied().map_or(0, u32::from_be_bytes)
+    };
+    // The number of pages is that of the file if it was written with the change that was counted last.
+    let page = match number(16) >> 16 {
+        1 => 1 << 16,
+        page => u64::from(page),
+    };
+    let end = page * u64::from(number(28));
+    let is_valid = end > 0 && number(24) == number(92);
+    Ok((is_valid && following::is_at(source, end, MAGIC)?).then_some(end))
 }
 
 /// The messages of a database.

@@ -9,8 +9,7 @@
 //!
 //! Records are read one after the other up to the end of the data, so that a file without its summary,
 //! cut off or still being written is read as far as it goes; the summary tells where chunks are, for
-//! seeking. The CRCs are not checked: LZ4 and Zstandard find damage of
-//! their own. The reader holds a message and, where it is compressed, a chunk. The crate `mcap` builds
+//! seeking. The CRC of a chunk that has one is checked before its records are read. The reader holds a message and, where it is compressed, a chunk. The crate `mcap` builds
 //! two C libraries for its compressions, and three stacks of derive macros without them; it is the
 //! peer of the tests by its Python twin.
 
@@ -24,11 +23,15 @@ use super::message::Kind;
 use super::packets::t_max_us;
 use super::topics::{Topics, Use};
 use crate::formats::Skipped;
+use crate::formats::following::ANOTHER;
 use crate::formats::format::{Format, Limits, Opening};
 use crate::formats::input::{Input, ReadSeek};
 
 /// First and last bytes of every file.
 pub const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+
+/// The last bytes of a file and the first of another behind it.
+const JOINED: &[u8] = b"\x89MCAP0\r\n\x89MCAP0\r\n";
 
 /// Longest schema or channel.
 const DESCRIPTION_MAX: u64 = 1 << 20;
@@ -108,6 +111,8 @@ pub struct Mcap {
     ended: bool,
     /// Where reading can begin, once asked.
     places: Option<Vec<u64>>,
+    /// Messages so far; `None` where reading did not begin at the first one.
+    messages: Option<u64>,
 }
 
 impl Mcap {
@@ -130,6 +135,7 @@ impl Mcap {
             at: 0,
             ended: false,
             places: None,
+            messages: Some(0),
         })
     }
 
@@ -172,6 +178,32 @@ impl Mcap {
 
     /// The file's beginning and its chunks, where the summary tells them and all channels.
     fn index(&mut self, topics: &mut Topics) -> anyhow::Result<Option<Vec<u64>>> {
+        let summary = self.find_summary()?;
+        Ok(summary.and_then(|(start, summary)| self.summary(&summary, start, topics)))
+    }
+
+    /// Checks at the end of the data what follows it: how many messages its summary counts, and that no other
+    /// file does.
+    fn check_end(&mut self) -> anyhow::Result<()> {
+        if let Some(another) = self.bytes.find(JOINED)? {
+            let another = another + MAGIC.len() as u64;
+            return Err(self.bytes.input.error_at(another, ANOTHER));
+        }
+        let Some((_, summary)) = self.find_summary()? else {
+            return Ok(());
+        };
+        let counted = records(&summary).find(|(opcode, _)| *opcode == STATISTICS);
+        let counted = counted.and_then(|(_, content)| content.first_chunk().copied());
+        match (self.messages, counted.map(u64::from_le_bytes)) {
+            (Some(messages), Some(counted)) if messages != counted => Err(self.damaged(&format!(
+                "the summary counts {counted} messages, and {messages} stand before it: the file is damaged"
+            ))),
+            _ => Ok(()),
+        }
+    }
+
+    /// Where the summary begins, and its bytes.
+    fn find_summary(&mut self) -> anyhow::Result<Option<(u64, Vec<u8>)>> {
         let length = self.bytes.length()?;
         let Some(footer) = length.checked_sub(FOOTER_BYTES) else {
             return Ok(None);
@@ -184,10 +216,8 @@ impl Mcap {
         if start == 0 || start > footer || !bytes.ends_with(MAGIC) {
             return Ok(None);
         }
-        let Some(summary) = self.bytes.peek(start, footer)? else {
-            return Ok(None);
-        };
-        Ok(self.summary(&summary, start, topics))
+        let summary = self.bytes.peek(start, footer)?;
+        Ok(summary.map(|summary| (start, summary)))
     }
 
     /// What [`Mcap::index`] finds in the records of the summary, which begins at `start`.
@@ -195,17 +225,14 @@ impl Mcap {
         let mut places = vec![MAGIC.len() as u64];
         // A file without channels has no events either.
         let mut channels = 1;
-        let mut rest = summary;
-        while let Some((opcode, behind)) = rest.split_first() {
-            let (length, behind) = behind.split_first_chunk()?;
-            let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-            let (content, behind) = behind.split_at_checked(length)?;
-            rest = behind;
-            match *opcode {
+        let mut bytes = 0;
+        for (opcode, content) in records(summary) {
+            bytes += 1 + 8 + content.len();
+            match opcode {
                 SCHEMA | CHANNEL => {
                     self.content.clear();
                     self.content.extend_from_slice(content);
-                    self.describe(*opcode, topics).ok()?;
+                    self.describe(opcode, topics).ok()?;
                 }
                 STATISTICS => {
                     // Behind the numbers of messages and of schemas.
@@ -219,6 +246,9 @@ impl Mcap {
                 }
                 _ => {}
             }
+        }
+        if bytes < summary.len() {
+            return None;
         }
         places.sort_unstable();
         let inside = places.last().is_some_and(|last| *last < start);
@@ -235,11 +265,9 @@ impl Mcap {
             Fields::new(&self.content, Serialisation::Ros1).map_err(|what| self.damaged(&what))?;
         let mut numbers = || {
             fields.bytes(16)?;
-            let size = fields.u64()?;
-            fields.u32()?;
-            Ok((size, fields.u32()?))
+            Ok((fields.u64()?, fields.u32()?, fields.u32()?))
         };
-        let (size, name) = numbers().map_err(|what: String| self.damaged(&what))?;
+        let (size, crc, name) = numbers().map_err(|what: String| self.damaged(&what))?;
         if name > 64 {
             return Err(self.damaged("a chunk's compression is no name: it is damaged"));
         }
@@ -251,8 +279,25 @@ impl Mcap {
         if packed.checked_add(8 + 8 + 8 + 4 + 4 + u64::from(name) + 8) != Some(length) {
             return Err(self.damaged("a chunk's lengths disagree: it is damaged"));
         }
-        self.bytes.enter(&compression, packed, size)
+        self.bytes.enter(&compression, packed, size)?;
+        // 0: its writer made none.
+        if crc != 0 {
+            self.bytes.check(crc, size)?;
+        }
+        Ok(())
     }
+}
+
+/// The records of a summary, opcode and content, up to one that is not whole.
+fn records(mut bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
+    std::iter::from_fn(move || {
+        let (opcode, rest) = bytes.split_first()?;
+        let (length, rest) = rest.split_first_chunk()?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+        let (content, rest) = rest.split_at_checked(length)?;
+        bytes = rest;
+        Some((*opcode, content))
+    })
 }
 
 impl Messages for Mcap {
@@ -282,7 +327,10 @@ impl Messages for Mcap {
             let opcode = *opcode;
             let length = u64::from_le_bytes(length.try_into().unwrap_or_default());
             match opcode {
-                DATA_END | FOOTER => self.ended = true,
+                DATA_END | FOOTER => {
+                    self.ended = true;
+                    self.check_end()?;
+                }
                 CHUNK => self.enter(length)?,
                 SCHEMA | CHANNEL => {
                     if length > DESCRIPTION_MAX {
@@ -293,6 +341,7 @@ impl Messages for Mcap {
                         .map_err(|what| self.damaged(&what))?;
                 }
                 MESSAGE => {
+                    self.messages = self.messages.map(|messages| messages + 1);
                     let data = length.checked_sub(MESSAGE_HEAD);
                     let data =
                         data.ok_or_else(|| self.damaged("a message is too short: damaged"))?;
@@ -334,6 +383,7 @@ impl Messages for Mcap {
         if let Some(offset) = places.get(place) {
             self.bytes.go(*offset)?;
             self.ended = false;
+            self.messages = None;
         }
         Ok(())
     }
