@@ -103,7 +103,7 @@ fn named(module: &Module, code: &str, files: &BTreeMap<Module, PathBuf>) -> BTre
     paths.extend(rest.split(|c| !is_part(c)).map(str::to_owned));
     let mut named = BTreeSet::new();
     for path in paths {
-        let mut segments = path.split("::").peekable();
+        let mut segments = path.split("::");
         let mut at = match segments.next() {
             Some("crate") => Vec::new(),
             Some("super") => module[..module.len().saturating_sub(1)].to_vec(),

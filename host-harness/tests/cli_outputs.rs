@@ -53,6 +53,7 @@ fn outputs_are_refused_before_anything_is_done() {
         ),
         ("encode scene.raw -o none/a.eecvs", "no folder"),
         ("encode scene.raw -o frames", "is a folder"),
+        ("demo -o frames", "--overwrite"),
         ("encode absent.raw -o good.eecvs --overwrite", "absent.raw"),
         ("encode good.eecvs -o good.eecvs --overwrite", "same file"),
         (

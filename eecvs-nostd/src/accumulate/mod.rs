@@ -6,3 +6,5 @@ pub mod dct16;
 pub mod dct8;
 pub mod dtft16;
 pub(crate) mod haar_bytes;
+#[allow(dead_code, reason = "assembly has its own")]
+mod of_list;

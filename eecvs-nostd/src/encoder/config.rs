@@ -203,8 +203,9 @@ pub struct Scratch<'b> {
     pub coefficients: Option<&'b mut CoefficientMemory>,
     /// A word for each pixel that is never sent: see [`crate::WindowEncoder::add_hot`].
     pub hot: &'b mut [u32],
-    /// Words for [`Config::keep_order`], [`crate::coder::arrival_order::words`] of a window's slots, and none without it. A
-    /// window that filled more slots is sent without its order, which its frames then do not claim.
+    /// Words for [`Config::keep_order`], [`crate::coder::arrival_order::words`] of a window's slots,
+    /// and none without it. A window that filled more slots is sent without its order, which its frames
+    /// then do not claim.
     pub order: &'b mut [u32],
 }
 

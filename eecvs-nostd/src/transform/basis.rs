@@ -21,8 +21,8 @@ pub trait Basis {
     const HAS_WALKS: bool = true;
 
     /// Accumulate: c_k = sum_i p_i phi_k(u_i) (eq. 6) for k in 1..`grid`, over at most
-    /// [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) impulses; more are left out. `sums`, 2K or longer, is overwritten, but for
-    /// c_0, the sum of the signs, which the caller knows.
+    /// [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) impulses; more are left out. `sums`, 2K or
+    /// longer, is overwritten, but for c_0, the sum of the signs, which the caller knows.
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,

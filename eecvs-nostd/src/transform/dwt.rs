@@ -18,9 +18,9 @@ use crate::transform::shape::Shape;
 /// The Haar wavelet transform (eq. 6), for sparse windows; h is +1 on [0, 1/2), -1 on [1/2, 1).
 ///
 /// `[Impulse; n] -> [Sum; K]`, K a power of two. The sums hold the integers
-/// D_k = c_k / 2^(j/2), |D_k| <= n, exact: rows of bytes for K up to 32, as `haar_bytes` has
-/// them, else a fine histogram and K - 1 butterflies. The irrational scale is left to whoever needs the value, so that pruning compares D^2 2^j, an integer, and ties
-/// are exact.
+/// D_k = c_k / 2^(j/2), |D_k| <= n, exact: rows of bytes for K up to 32, as `haar_bytes` has them, else
+/// a fine histogram and K - 1 butterflies. The irrational scale is left to whoever needs the value, so
+/// that pruning compares D^2 2^j, an integer, and ties are exact.
 #[derive(Debug, Clone, Copy)]
 pub struct Dwt;
 

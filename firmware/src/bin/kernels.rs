@@ -21,9 +21,8 @@ use cortex_m_semihosting::{hprintln, nr, syscall};
 use eecvs_firmware as _;
 use eecvs_nostd::Slot;
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
-use eecvs_nostd::group::Impulse;
-use eecvs_nostd::group::Impulses;
 use eecvs_nostd::group::lists::{LaidOut, Lists};
+use eecvs_nostd::group::{Impulse, Impulses};
 use eecvs_nostd::kernel::{
     Accumulate, Haar, Libm, Micromath, Precise, PreciseSum, Recurrence, Table,
 };

@@ -10,7 +10,7 @@ use std::io::{self, Read, Seek, SeekFrom};
 pub const ANOTHER: &str = "another recording begins here: take the files apart";
 
 /// Bytes that are searched: more than a footer of some 100,000 row groups.
-const SEARCHED_BYTES: u64 = 1 << 24;
+pub const SEARCHED_BYTES: u64 = 1 << 24;
 
 /// Bytes read at once.
 const BLOCK_BYTES: usize = 1 << 16;

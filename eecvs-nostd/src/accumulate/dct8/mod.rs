@@ -23,7 +23,9 @@ pub(crate) mod armv7em;
 use core::f64::consts::FRAC_PI_2;
 
 use crate::accumulate::cosine::{cos_of_row, round};
-use crate::fixed_point::{FRACTION_BITS, Phase, Sum, dot_add, negate_halves};
+#[cfg(eecvs_dsp)]
+use crate::fixed_point::Sum;
+use crate::fixed_point::{FRACTION_BITS, Phase, dot_add, negate_halves};
 use crate::group::Impulses;
 use crate::group::impulse::Impulse;
 use crate::transform::phase::PhaseScale;
@@ -116,8 +118,7 @@ use portable::Sums;
 pub(crate) use sse2::Sums;
 
 /// sum p cos(pi k u) for k = 1..8 over at most a chunk of impulses, of which `half` gives
-/// u / 2, with the bits of a `Sum`. Apart, so that the loop has the
-/// registers for itself.
+/// u / 2, with the bits of a `Sum`. Apart, so that the loop has the registers for itself.
 #[inline(never)]
 pub fn cosines(
     impulses: impl Iterator<Item = Impulse>,
@@ -135,21 +136,8 @@ fn sums_of(impulses: impl Iterator<Item = Impulse>, half: impl Fn(Impulse) -> Ph
     sums
 }
 
-/// The sums over the first impulses of a pixel's list, in assembly that keeps them in registers; returns the
-/// impulses after those. Where there is no such assembly, or none for `grid`, the sums are what `otherwise`
-/// makes of them, and nothing is returned.
 #[cfg(not(eecvs_dsp))]
-#[inline(always)]
-pub(crate) fn of_list<'s>(
-    _: &Impulses<'s>,
-    _: PhaseScale,
-    _grid: usize,
-    sums: &mut [Sum],
-    otherwise: impl FnOnce(&mut [Sum]),
-) -> Option<Impulses<'s>> {
-    otherwise(sums);
-    None
-}
+pub(crate) use super::of_list::of_list;
 #[cfg(eecvs_dsp)]
 pub(crate) use armv7em::of_list;
 
@@ -205,7 +193,8 @@ impl Cosines {
         self.spread = spread(&self.sums);
     }
 
-    /// The sums of a pixel's events, at most [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS), in vectors. Apart, as [`cosines`].
+    /// The sums of a pixel's events, at most [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS), in
+    /// vectors. Apart, as [`cosines`].
     #[cfg(target_arch = "x86_64")]
     #[inline(never)]
     pub(crate) fn sums_of(&self, impulses: &Impulses<'_>) -> Sums {

@@ -140,21 +140,8 @@ pub fn exponentials(
     portable::exponentials(impulses, half, sums);
 }
 
-/// The sums over the first impulses of a pixel's list, in assembly that keeps them in registers; returns the
-/// impulses after those. Where there is no such assembly, or none for `grid`, the sums are what `otherwise`
-/// makes of them, and nothing is returned.
 #[cfg(not(eecvs_dsp))]
-#[inline(always)]
-pub(crate) fn of_list<'s>(
-    _: &crate::group::Impulses<'s>,
-    _: crate::transform::phase::PhaseScale,
-    _grid: usize,
-    sums: &mut [Sum],
-    otherwise: impl FnOnce(&mut [Sum]),
-) -> Option<crate::group::Impulses<'s>> {
-    otherwise(sums);
-    None
-}
+pub(crate) use super::of_list::of_list;
 #[cfg(eecvs_dsp)]
 pub(crate) use armv7em::of_list;
 

@@ -1,5 +1,5 @@
-//! Parts of the codes of [`crate::pack::packer`], as [`crate::fused::walk_armv7em`] and [`crate::fused::dtft32_armv7em`] put them
-//! together.
+//! Parts of the codes of [`crate::pack::packer`], as [`crate::fused::walk_armv7em`] and
+//! [`crate::fused::dtft32_armv7em`] put them together.
 
 use core::mem::offset_of;
 

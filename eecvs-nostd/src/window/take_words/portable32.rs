@@ -1,4 +1,5 @@
-//! [`crate::window::take_words`] on cores of 32 bits, in Rust: sixteen events in a row, for what a loop costs by the event.
+//! [`crate::window::take_words`] on cores of 32 bits, in Rust: sixteen events in a row, for what a loop
+//! costs by the event.
 //!
 //! Everything is in locals: what is behind a reference would be loaded again after every store.
 

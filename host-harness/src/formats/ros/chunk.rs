@@ -2,9 +2,8 @@
 
 use std::io::Read;
 
-use crc::{CRC_32_ISO_HDLC, Crc, Table};
-
 use super::decoder::MESSAGE_MAX;
+use super::mcap_writer::CRC;
 use crate::formats::input::Input;
 
 /// A file of records, some of them in compressed chunks.
@@ -36,8 +35,6 @@ impl Chunk {
 
 /// Bytes read at once where they are only looked at.
 const BLOCK_BYTES: usize = 1 << 16;
-
-static CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
 /// Longest index that is read: some 10^6 chunks.
 const INDEX_MAX: u64 = 1 << 27;
@@ -332,34 +329,6 @@ impl Chunked {
         Err(self.error(format!(
             "the CRC of this chunk is {found:08x} instead of {crc:08x}: it is damaged"
         )))
-    }
-
-    /// Where `mark` stands behind the present position, which stays, within what a summary may take.
-    ///
-    /// # Errors
-    /// I/O.
-    pub fn find(&mut self, mark: &[u8]) -> anyhow::Result<Option<u64>> {
-        let start = self.input.offset();
-        // Nothing is waited for where the file grows.
-        let end = self.length()?;
-        let mut block = vec![0; BLOCK_BYTES + mark.len()];
-        let mut at = start;
-        let found = loop {
-            self.input.seek(at)?;
-            let here = usize::try_from(end.saturating_sub(at)).unwrap_or(block.len());
-            let most = here.min(block.len());
-            let filled = self.input.fill(block.get_mut(..most).unwrap_or_default())?;
-            let bytes = block.get(..filled).unwrap_or_default();
-            if let Some(place) = bytes.windows(mark.len()).position(|bytes| bytes == mark) {
-                break Some(at + place as u64);
-            }
-            if filled < block.len() || at - start > INDEX_MAX {
-                break None;
-            }
-            at += BLOCK_BYTES as u64;
-        };
-        self.input.seek(start)?;
-        Ok(found)
     }
 
     /// Error at the present position.

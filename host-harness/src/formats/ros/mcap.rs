@@ -23,7 +23,7 @@ use super::message::Kind;
 use super::packets::t_max_us;
 use super::topics::{Topics, Use};
 use crate::formats::Skipped;
-use crate::formats::following::ANOTHER;
+use crate::formats::following::{ANOTHER, SEARCHED_BYTES};
 use crate::formats::format::{Format, Limits, Opening};
 use crate::formats::input::{Input, ReadSeek};
 
@@ -185,8 +185,14 @@ impl Mcap {
     /// Checks at the end of the data what follows it: how many messages its summary counts, and that no other
     /// file does.
     fn check_end(&mut self) -> anyhow::Result<()> {
-        if let Some(another) = self.bytes.find(JOINED)? {
-            let another = another + MAGIC.len() as u64;
+        let start = self.bytes.offset();
+        let behind = self
+            .bytes
+            .peek(start, start.saturating_add(SEARCHED_BYTES))?;
+        let behind = behind.unwrap_or_default();
+        let mut places = behind.windows(JOINED.len());
+        if let Some(end) = places.position(|bytes| bytes == JOINED) {
+            let another = start + (end + MAGIC.len()) as u64;
             return Err(self.bytes.input.error_at(another, ANOTHER));
         }
         let Some((_, summary)) = self.find_summary()? else {

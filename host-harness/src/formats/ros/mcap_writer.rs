@@ -28,7 +28,7 @@ use super::packets::{
 use crate::formats::output::Output;
 
 /// The CRC-32 of zip files and Ethernet, which MCAP has chosen.
-static CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
+pub(super) static CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
 /// Bytes of a chunk, about.
 const CHUNK_BYTES: usize = 1 << 20;

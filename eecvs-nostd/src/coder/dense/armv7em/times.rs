@@ -1,5 +1,6 @@
-//! The times of a pixel in assembly, the same as [`times`](crate::coder::dense::times) codes, to the bit: contexts, and all
-//! events of a pixel in a row that follows. [`walk`](super::walk) calls it with the range coder's state in registers.
+//! The times of a pixel in assembly, the same as [`times`](crate::coder::dense::times) codes, to the
+//! bit: contexts, and all events of a pixel in a row that follows. [`walk`](super::walk) calls it with
+//! the range coder's state in registers.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
