@@ -1,6 +1,6 @@
 //! `eecvs convert`: from one event-file format to another, optionally a part of it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
@@ -66,6 +66,9 @@ pub struct Converted {
     pub findings: Findings,
     /// Where and why the input ended before its end; everything before is in the output.
     pub damage: Option<String>,
+    /// With `damage`: the file that has it, which is another than the output where that was there already.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub incomplete_output: Option<PathBuf>,
 }
 
 impl Filter {
@@ -173,10 +176,16 @@ pub fn convert(
         Some(damage) if converted.events_in == 0 => return Err(damage),
         damage => damage.map(|error| format!("{error:#}")),
     };
-    writer.finish()?;
+    let incomplete_output = if damage.is_some() && conversion.follow.is_none() {
+        writer.finish_incomplete()?
+    } else {
+        writer.finish()?;
+        None
+    };
     Ok(Converted {
         findings,
         damage,
+        incomplete_output,
         ..converted
     })
 }

@@ -179,3 +179,44 @@ fn a_command_that_is_killed_leaves_the_old_file() {
         }
     }
 }
+
+/// What comes of a damaged recording never takes the place of a file, even with `--overwrite`; frames that were lost on
+/// their way are counted, and what all others hold is the output.
+#[test]
+fn what_ends_at_a_damage_replaces_nothing() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    folder.eecvs("convert scene.raw scene.csv").ok();
+    folder
+        .eecvs("encode scene.raw -o scene.eecvs --window-us 10000")
+        .ok();
+    let half = |name: &str| {
+        let mut bytes = folder.bytes(name);
+        bytes.truncate(bytes.len() / 2 + 1);
+        bytes
+    };
+    folder.write("cut.csv", [half("scene.csv"), b"1,".to_vec()].concat());
+    folder.write("cut.eecvs", half("scene.eecvs"));
+    let cases = [
+        ("encode cut.csv -o OUT.eecvs", "OUT.eecvs"),
+        ("convert cut.csv OUT.raw", "OUT.raw"),
+        ("convert cut.eecvs OUT.dat", "OUT.dat"),
+    ];
+    for (line, output) in cases {
+        let [old, fresh] = ["old", "fresh"].map(|stem| output.replace("OUT", stem));
+        let outcome = folder.as_is(&line.replace(output, &fresh));
+        assert_eq!(outcome.status, Some(1), "{outcome}");
+        folder.write(&old, "kept");
+        let line = format!("{} --overwrite", line.replace(output, &old));
+        let outcome = folder.as_is(&line);
+        assert_eq!(outcome.status, Some(1), "{outcome}");
+        assert_eq!(folder.bytes(&old), b"kept", "{outcome}");
+        let beside = format!("incomplete-{old}");
+        assert_eq!(folder.bytes(&beside), folder.bytes(&fresh), "{outcome}");
+        assert!(outcome.stderr.contains(&beside), "{outcome}");
+    }
+    folder.write("old.csv", "kept");
+    let outcome = folder.as_is("decode cut.eecvs -o old.csv --overwrite");
+    assert_eq!(outcome.status, Some(1), "{outcome}");
+    assert_ne!(folder.bytes("old.csv"), b"kept", "{outcome}");
+}

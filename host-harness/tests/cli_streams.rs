@@ -404,14 +404,16 @@ fn frames_of_two_sensors_are_never_mixed_and_can_be_taken_apart() {
         let before = if name == "mixed" { &own[..1] } else { &own[..] };
         folder.write("before.eecvs", before.concat());
         folder.eecvs("decode before.eecvs -o before.raw").ok();
-        for line in ["decode F -o d.raw", "convert F d.raw"] {
-            folder.eecvs(&line.replace('F', &file)).loses(&[
+        for (line, output) in [("decode F -o", "decoded"), ("convert F", "converted")] {
+            let output = format!("{output}-{name}.raw");
+            let line = format!("{} {output}", line.replace('F', &file));
+            folder.eecvs(&line).loses(&[
                 "another sensor",
                 "eecvs split",
                 &format!("byte {}", before.concat().len()),
             ]);
             assert!(
-                folder.events("d.raw").1 == folder.events("before.raw").1,
+                folder.events(&output).1 == folder.events("before.raw").1,
                 "{name}"
             );
         }

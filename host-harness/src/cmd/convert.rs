@@ -111,7 +111,14 @@ impl Convert {
         let place = Place::beside([self.output.as_path()]);
         place.tell(self.json, &converted, || table(&converted))?;
         let followed = conversion.follow.is_some();
-        tell_damage(converted.damage.as_deref(), Some(&self.output), followed)
+        let output = converted.incomplete_output.as_deref();
+        let output = output.unwrap_or(&self.output);
+        tell_damage(
+            converted.damage.as_deref(),
+            Some(output),
+            &self.output,
+            followed,
+        )
     }
 }
 

@@ -465,11 +465,13 @@ impl Encode {
         drop(progress);
         let findings = Findings::of(&reader);
         let damage = reader.damage().map(|error| format!("{error:#}"));
-        if summary.events_in > 0 || damage.is_none() {
-            out.finish()?;
-        } else {
-            return tell_damage(damage.as_deref(), None, false);
-        }
+        let output = match damage {
+            Some(_) if summary.events_in == 0 => {
+                return tell_damage(damage.as_deref(), None, &self.output, false);
+            }
+            Some(_) if follow.is_none() => out.finish_incomplete()?,
+            _ => out.finish().map(|()| self.output.clone())?,
+        };
         if summary.events_in == 0 {
             eprintln!(
                 "eecvs: {}: holds no events: {} has no frame and cannot be decoded",
@@ -477,10 +479,15 @@ impl Encode {
                 self.output.display()
             );
         }
-        let report = Report::new(&self.input, &self.output, &summary, findings);
+        let report = Report::new(&self.input, &output, &summary, findings);
         let place = Place::beside([self.output.as_path()]);
         place.tell(self.json, &report, || report.table())?;
-        tell_damage(damage.as_deref(), Some(&self.output), follow.is_some())?;
+        tell_damage(
+            damage.as_deref(),
+            Some(&output),
+            &self.output,
+            follow.is_some(),
+        )?;
         tell_disorder(&self.input, &summary, self.limits.order)
     }
 }

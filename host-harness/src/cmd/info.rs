@@ -40,7 +40,7 @@ impl Info {
         } else {
             print(&table(&info))?;
         }
-        tell_damage(info.damage.as_deref(), None, false)
+        tell_damage(info.damage.as_deref(), None, &self.file, false)
     }
 }
 

@@ -58,7 +58,8 @@ pub struct ReadingOptions {
 /// Whether a file that is there already may be replaced.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct OutputOptions {
-    /// Replace a file that is there already, when the new one is complete
+    /// Replace a file that is there already, when the new one is complete; of a damaged recording what comes before the
+    /// damage is left in incomplete-NAME
     #[arg(long)]
     pub overwrite: bool,
 }
@@ -197,18 +198,32 @@ impl FollowOptions {
     }
 }
 
-/// What is said, as an error, of a recording that ended before its end; `output` has what was before it.
+/// What is said, as an error, of a recording that ended before its end; `output` is the file that has what was before
+/// it, and `wanted` the one that was to.
 ///
 /// # Errors
 /// Always where there is damage, but where a recording was followed: then its end was chosen, and is
 /// told on stderr alone.
-pub fn tell_damage(damage: Option<&str>, output: Option<&Path>, followed: bool) -> Result<()> {
+pub fn tell_damage(
+    damage: Option<&str>,
+    output: Option<&Path>,
+    wanted: &Path,
+    followed: bool,
+) -> Result<()> {
     let Some(damage) = damage else {
         return Ok(());
     };
-    let kept = output.map_or_else(String::new, |output| {
-        format!(" ({} has everything before)", output.display())
-    });
+    let kept = match output {
+        Some(output) if output == wanted => {
+            format!(" ({} has everything before)", output.display())
+        }
+        Some(output) => format!(
+            " ({} has everything before; {} is as it was)",
+            output.display(),
+            wanted.display()
+        ),
+        None => String::new(),
+    };
     ensure!(followed, "{damage}{kept}");
     eprintln!("eecvs: {damage}{kept}");
     Ok(())

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Cursor};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
@@ -419,6 +419,12 @@ impl EventWriter for Kept {
         let Self { writer, output } = *self;
         writer.finish()?;
         output.keep()
+    }
+
+    fn finish_incomplete(self: Box<Self>) -> anyhow::Result<Option<PathBuf>> {
+        let Self { writer, output } = *self;
+        writer.finish()?;
+        output.keep_incomplete().map(Some)
     }
 }
 

@@ -68,7 +68,7 @@ mod zip_recording;
 
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use eecvs_nostd::{Event, Sensor};
@@ -186,6 +186,15 @@ pub trait EventWriter {
     /// # Errors
     /// I/O.
     fn finish(self: Box<Self>) -> anyhow::Result<()>;
+
+    /// As [`EventWriter::finish`], of everything before a damage: a file that is there already stays, and what was
+    /// written gets the name that is returned. `None` where the file has no name but its own.
+    ///
+    /// # Errors
+    /// I/O.
+    fn finish_incomplete(self: Box<Self>) -> anyhow::Result<Option<PathBuf>> {
+        self.finish().map(|()| None)
+    }
 }
 
 /// Bytes that a file being written holds back.

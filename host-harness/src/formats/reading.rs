@@ -151,7 +151,8 @@ pub const SIZE_TAKEN: &str = "sensor size";
 /// Something that a file does not say and its reader took to be so.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Assumption {
-    /// What: `time unit`, `times`, `columns`, `chip`, `polarity`, `sensor size`, `first pixel`.
+    /// What: `time unit`, `times`, `columns`, `chip`, `polarity`, `sensor size`, `first pixel`,
+    /// `last line`.
     pub what: &'static str,
     /// What it was taken to be.
     pub taken: String,
@@ -179,6 +180,19 @@ impl Assumption {
             what: "times",
             taken: "whole microseconds".to_owned(),
             why: format!("the file has finer ones, which are rounded {how}"),
+        }
+    }
+}
+
+impl Assumption {
+    /// A text file's last line was taken to be whole.
+    #[must_use]
+    pub(super) fn last_line_whole() -> Self {
+        Self {
+            what: "last line",
+            taken: "whole".to_owned(),
+            why: "no line break ends it: the file may have been cut within its last number"
+                .to_owned(),
         }
     }
 }

@@ -18,7 +18,9 @@
 //! 7. p is 1, true or on, or else 0, -1, false or off; a file that has 0 as well as -1 is refused.
 //! 8. Where neither the file nor the caller knows the size, a first pass over the file finds the
 //!    largest x and y, and the size is these plus one.
-//! 9. A line that is no event ends the recording with an error, or is left out and counted by its cause.
+//! 9. A last line without a line break is an event; where it ends with a time, x or y, which may have been cut,
+//!    this is said.
+//! 10. A line that is no event ends the recording with an error, or is left out and counted by its cause.
 //!
 //! Parsing is our own: no CSV crate converts decimals to microseconds without a float.
 
@@ -177,6 +179,7 @@ impl TextReader {
             leaves_out: reading.bad_events == BadEvents::LeaveOut,
             polarities,
             is_rounded: false,
+            is_cut_noted: false,
             assumptions,
             sensor: LARGEST,
             events: 0,
@@ -242,6 +245,8 @@ struct Lines {
     /// Number of the present line, from 1, and its offset.
     number: u64,
     offset: u64,
+    /// Whether the present line has a line break.
+    is_ended: bool,
 }
 
 impl Lines {
@@ -251,6 +256,7 @@ impl Lines {
             line: Vec::with_capacity(LINE_MAX),
             number: 0,
             offset: 0,
+            is_ended: true,
         }
     }
 
@@ -260,6 +266,7 @@ impl Lines {
         self.offset = self.input.offset();
         let read = self.input.line(&mut self.line, LINE_MAX)?;
         self.number += 1;
+        self.is_ended = self.line.last() == Some(&b'\n');
         if read == LINE_MAX && self.line.last() != Some(&b'\n') {
             return Err(self.error("the line is longer than 4096 bytes: no event text"));
         }
@@ -462,6 +469,8 @@ pub struct TextDecoder {
     polarities: Polarities,
     /// Whether a time was rounded, which was said.
     is_rounded: bool,
+    /// Whether the last line has no line break, which was said.
+    is_cut_noted: bool,
     assumptions: Vec<Assumption>,
     sensor: Sensor,
     events: u64,
@@ -528,6 +537,7 @@ impl TextDecoder {
             match event {
                 Ok(event) => {
                     self.events += 1;
+                    self.note_cut();
                     return Ok(Some(event));
                 }
                 Err(bad) if self.leaves_out => {
@@ -536,6 +546,18 @@ impl TextDecoder {
                 }
                 Err(bad) => return Err(self.refusal(&bad)),
             }
+        }
+    }
+
+    /// Says that the present line may be cut off within a number that is another then: a polarity is not.
+    fn note_cut(&mut self) {
+        let Layout {
+            columns, t, x, y, ..
+        } = self.layout;
+        let is_number = [t, x, y].contains(&(columns - 1));
+        if is_number && !self.lines.is_ended && !self.is_cut_noted {
+            self.is_cut_noted = true;
+            self.assumptions.push(Assumption::last_line_whole());
         }
     }
 
@@ -665,6 +687,27 @@ mod tests {
         let mut events = Vec::new();
         while reader.read(&mut events).map_err(|e| e.to_string())? > 0 {}
         Ok((reader.sensor(), events))
+    }
+
+    #[test]
+    fn a_last_line_that_may_be_cut_is_noted() {
+        let notes = |text: &str| {
+            let source = Box::new(Cursor::new(text.as_bytes().to_vec()));
+            let mut reader = TextReader::new(source, "test", None).unwrap();
+            while reader.read(&mut Vec::new()).unwrap() > 0 {}
+            let notes = reader.assumptions().iter();
+            notes.filter(|note| note.what == "last line").count()
+        };
+        for (text, want) in [
+            ("x,y,p,t\n1,2,1,1500\n1,2,0,15", 1),
+            ("x,y,p,t\n1,2,1,1500\n1,2,0,15\n", 0),
+            ("x,y,p,t\n1,2,1,1500\n1,2,0,15\n# end", 0),
+            ("t,x,y,p\n1500,1,2,1\n1501,1,2,0", 0),
+            ("240 180\n1500 100 2 1\n1501 101 2 0", 0),
+            ("p,t,x,y\n1,1500,1,20\n1,1501,1,2", 1),
+        ] {
+            assert_eq!(notes(text), want, "{text:?}");
+        }
     }
 
     #[test]

@@ -147,14 +147,14 @@ fn since_1970(times: &[f64], most: f64, unit: TimeUnit) -> Result<Taken, String>
     };
     let Some(taken) = UNITS.iter().find(is_date) else {
         return Err(format!(
-            "a time of {most}, whose unit is not stated, is too large for {}: give --time-unit s|ms|us|ns",
+            "a time of about {most:.3e}, whose unit is not stated, is too large for {}: give --time-unit s|ms|us|ns",
             unit.name()
         ));
     };
     Ok(Taken {
         unit: *taken,
         why: format!(
-            "times since 1970: {most} is too large for {}; --time-unit says otherwise",
+            "times since 1970: {most:.3e} is too large for {}; --time-unit says otherwise",
             unit.name()
         ),
     })

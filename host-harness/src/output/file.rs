@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 
@@ -40,6 +40,17 @@ impl OutputFile {
         let Self { out, output } = self;
         drop(out);
         output.keep()
+    }
+
+    /// As [`OutputFile::finish`], of everything before a damage, as [`Output::keep_incomplete`].
+    ///
+    /// # Errors
+    /// I/O; the message names the file.
+    pub fn finish_incomplete(mut self) -> Result<PathBuf> {
+        self.flush()?;
+        let Self { out, output } = self;
+        drop(out);
+        output.keep_incomplete()
     }
 
     fn named(&self, error: &io::Error) -> io::Error {

@@ -16,7 +16,7 @@ pub use ending::Kind;
 pub use file::{OutputFile, write};
 pub use same::is_same;
 
-/// What the name of a file begins with while a live source fills it.
+/// What the name of a file begins with that a live source fills, or that ends before a damage of its input.
 const INCOMPLETE: &str = "incomplete-";
 
 /// What a temporary name ends with.
@@ -117,9 +117,7 @@ impl Output {
             return Self::begin(path);
         }
         let target = target(path)?;
-        let mut name = std::ffi::OsString::from(INCOMPLETE);
-        name.push(target.file_name().unwrap_or_default());
-        let part = target.with_file_name(name);
+        let part = incomplete(&target);
         let mut options = std::fs::OpenOptions::new();
         options.write(true);
         let options = match overwrite {
@@ -187,6 +185,22 @@ impl Output {
         Some(part)
     }
 
+    /// Ends a file that has everything before a damage of what it was made of: it gets its name unless
+    /// another file has that, and is `incomplete-NAME` beside it otherwise. Returns the name.
+    ///
+    /// # Errors
+    /// It cannot be renamed; the message names it.
+    pub fn keep_incomplete(mut self) -> Result<PathBuf> {
+        if let Place::Part(_, target) | Place::Live(_, target) = &mut self.place
+            && target.exists()
+        {
+            *target = incomplete(target);
+            self.name = incomplete(&self.name);
+        }
+        let name = self.name.clone();
+        self.keep().map(|()| name)
+    }
+
     /// Gives the complete file its name, in place of one that has it.
     ///
     /// # Errors
@@ -241,6 +255,13 @@ pub fn final_path(path: &Path) -> PathBuf {
         .and_then(|inner| inner.rsplit_once('.'))
         .filter(|(stem, random)| !stem.is_empty() && random.len() == RANDOM);
     stem.map_or_else(|| path.to_owned(), |(stem, _)| path.with_file_name(stem))
+}
+
+/// The name of what is not complete of the file `name`.
+fn incomplete(name: &Path) -> PathBuf {
+    let mut incomplete = std::ffi::OsString::from(INCOMPLETE);
+    incomplete.push(name.file_name().unwrap_or_default());
+    name.with_file_name(incomplete)
 }
 
 /// An empty file beside `target` with its rights.
@@ -376,6 +397,25 @@ mod tests {
         output.keep().unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"new");
         assert_eq!(names(folder.path()), ["a.eecvs"]);
+    }
+
+    #[test]
+    fn a_file_that_ends_at_a_damage_replaces_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.eecvs");
+        let keep = || {
+            let output = Output::begin(&path).unwrap();
+            std::fs::write(output.path(), "half").unwrap();
+            output.keep_incomplete().unwrap()
+        };
+        assert_eq!(keep(), path);
+        assert_eq!(names(folder.path()), ["a.eecvs"]);
+        std::fs::write(&path, "whole").unwrap();
+        for _ in 0..2 {
+            assert_eq!(keep(), folder.path().join("incomplete-a.eecvs"));
+        }
+        assert_eq!(names(folder.path()), ["a.eecvs", "incomplete-a.eecvs"]);
+        assert_eq!(std::fs::read(&path).unwrap(), b"whole");
     }
 
     #[test]
