@@ -3,8 +3,8 @@
 use std::io::Cursor;
 
 use eecvs_nostd::{Event, Sensor};
-use host_harness::formats::input::ReadSeek;
-use host_harness::formats::{BATCH_EVENTS, EventReader};
+use event_files::input::ReadSeek;
+use event_files::{BATCH_EVENTS, EventReader};
 
 /// Size for files that name none; the first bit of the input's length decides whether it is known.
 pub fn size(data: &[u8]) -> Option<Sensor> {
@@ -21,7 +21,10 @@ pub fn source(data: &[u8]) -> Box<dyn ReadSeek> {
 
 /// Reads to the end or to an error, and checks what a reader promises; from a place on where the format can seek
 /// it, if a time is told. The time of the last event, if there is one.
-pub fn drain(opened: anyhow::Result<Box<dyn EventReader>>, from_us: Option<u64>) -> Option<u64> {
+pub fn drain(
+    opened: event_files::Result<Box<dyn EventReader>>,
+    from_us: Option<u64>,
+) -> Option<u64> {
     let Ok(mut reader) = opened else { return None };
     if let Some(t_us) = from_us
         && reader.seek(t_us).is_err()

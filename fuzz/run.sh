@@ -9,7 +9,7 @@ seconds=${1:-5}
 [ $# -gt 0 ] && shift
 if [ $# = 0 ]; then
     # The names in the table of formats; a folder is no file.
-    formats=$(sed -n 's/^    name: "\(.*\)",$/read_\1/p' ../host-harness/src/formats/*.rs ../host-harness/src/formats/*/*.rs | grep -v '^read_rosbag2$')
+    formats=$(sed -n 's/^    name: "\(.*\)",$/read_\1/p' ../crates/event-files/src/*.rs ../crates/event-files/src/*/*.rs | grep -v '^read_rosbag2$')
     set -- $(ls fuzz_targets | sed 's/\.rs$//; /^read$/d') $formats
 fi
 # Builds of many units of code take half as long, those of one run up to three times as fast.

@@ -3,12 +3,11 @@
 
 use std::path::Path;
 
+use eecvs::encode::HostStorage;
 use eecvs_nostd::{
     Config, Encoder, Event, Filter, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Sensor,
     Thresholds, Transform, WindowConfig,
 };
-use host_harness::encode::HostStorage;
-use host_harness::formats;
 
 const SEEDS: [(&str, &str, Sensor); 15] = [
     (
@@ -155,7 +154,7 @@ fn main() -> anyhow::Result<()> {
             // A byte for each 127 us that pass; 23 bits of time.
             events.iter_mut().for_each(|event| event.t_us -= 16_776_000);
         }
-        let mut writer = formats::create(&folder.join(name), sensor)?;
+        let mut writer = event_files::create(&folder.join(name), sensor)?;
         writer.write(&events)?;
         writer.finish()?;
     }

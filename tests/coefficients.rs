@@ -2,16 +2,16 @@
 
 use std::collections::BTreeMap;
 
+use eecvs::decode::WindowReader;
+use eecvs::encode::step::quantiser_within;
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::coefficients::CoefficientDecoder;
+use eecvs::reconstruct::hybrid::Refused;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{
     Coder, Config, Descriptor, Event, Frame, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor,
     Transform,
 };
-use host_harness::decode::WindowReader;
-use host_harness::encode::step::quantiser_within;
-use host_harness::frame_file::FrameReader;
-use host_harness::reconstruct::coefficients::CoefficientDecoder;
-use host_harness::reconstruct::hybrid::Refused;
 use proptest::prelude::*;
 use strategies::one_pixel::{bound, expected, impulses, through_the_link};
 use strategies::{config, encode, events, parse, plain_config, sensor, transform};

@@ -7,18 +7,18 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use eecvs::decode::WindowReader;
+use eecvs::encode::{Limits, all_cores, encode};
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs::reconstruct::{DecodedWindow, recover::Confidences};
+use eecvs_bench::record_file;
+use eecvs_bench::table::exact_times::{self, Row, SCENES, SIZES};
 use eecvs_nostd::{Config, Event, Mode, Quantiser, Sensor, Thresholds, Transform, WindowConfig};
-use host_harness::decode::WindowReader;
-use host_harness::encode::{Limits, all_cores, encode};
-use host_harness::formats::{self, EventReader};
-use host_harness::frame_file::FrameReader;
-use host_harness::metrics::emd_pixel::Matcher;
-use host_harness::metrics::frame::pixel_order;
-use host_harness::reconstruct::events::{EventDecoder, Finder};
-use host_harness::reconstruct::{DecodedWindow, recover::Confidences};
-use host_harness::record_file;
-use host_harness::report::exact_times_table::{self, Row, SCENES, SIZES};
-use host_harness::scene::{PRESETS, SceneConfig, emulate};
+use event_emulator::{PRESETS, SceneConfig, emulate};
+use event_files::EventReader;
+use event_metrics::emd_pixel::Matcher;
+use event_metrics::frame::pixel_order;
 use strategies::hold_against_record;
 
 const WINDOW_US: u32 = 32_768;
@@ -125,14 +125,14 @@ const TOLERANCE: f64 = 0.02;
 const RECORDS: [&str; 2] = ["exact-times-scenes", "exact-times-recordings"];
 
 fn hold(name: &str, rows: &[Row]) {
-    hold_against_record(name, rows, TOLERANCE, exact_times_table::MARKS, |folder| {
+    hold_against_record(name, rows, TOLERANCE, exact_times::MARKS, |folder| {
         let records = RECORDS.map(|name| record_file::read::<Row>(folder, name));
         let rows: Vec<Row> = records
             .into_iter()
             .flatten()
             .flat_map(|record| record.rows)
             .collect();
-        exact_times_table::document(&rows)
+        exact_times::document(&rows)
     });
 }
 
@@ -283,7 +283,7 @@ impl EventReader for Start {
         self.reader.sensor()
     }
 
-    fn read(&mut self, events: &mut Vec<Event>) -> anyhow::Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
         let before = events.len();
         self.reader.read(events)?;
         let Some(first) = events.get(before) else {
@@ -300,7 +300,7 @@ impl EventReader for Start {
         Ok(events.len() - before)
     }
 
-    fn skipped(&self) -> &formats::Skipped {
+    fn skipped(&self) -> &event_files::Skipped {
         self.reader.skipped()
     }
 }
@@ -321,7 +321,7 @@ fn recordings_come_back_with_the_documented_exactness() {
             continue;
         }
         let open = || -> Box<dyn EventReader> {
-            let reader = formats::open(&path, None).expect("a recording");
+            let reader = event_files::open(&path, None).expect("a recording");
             Box::new(Start {
                 reader,
                 end_us: None,

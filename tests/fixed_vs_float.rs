@@ -1,12 +1,12 @@
 //! Each stage of the fixed-point core against the f64 oracle, within the stated bounds.
 
+use eecvs_bench::oracle_of;
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
 use eecvs_nostd::group::Impulse;
 use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX};
 use eecvs_nostd::{Config, Quantiser, Sensor, Transform};
-use host_harness::bench::oracle_of;
-use host_harness::reference::transform as oracle;
+use eecvs_oracle::transform as oracle;
 use proptest::prelude::*;
 use strategies::one_pixel::{bound, check_kept};
 use strategies::{plain_config, transform};

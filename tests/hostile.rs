@@ -1,14 +1,14 @@
 //! Streams made to harm a reader: sound checksums, contradicting contents. They are refused,
 //! counted and cost no more than their length; nothing panics.
 
+use eecvs::decode::WindowReader;
+use eecvs::frame_file::FrameReader;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::pack::bits_lsb_first::BitWriter;
 use eecvs_nostd::{
     Coded, Descriptor, FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, Quantiser, Regime, Sensor,
     Transform, UnpackError,
 };
-use host_harness::decode::WindowReader;
-use host_harness::frame_file::FrameReader;
 
 fn header() -> Header {
     Header {

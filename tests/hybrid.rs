@@ -1,6 +1,10 @@
 //! Mode `hybrid`: what comes back is what was asked for, whatever the events, the frames' sizes and
 //! their losses.
 
+use eecvs::decode::WindowReader;
+use eecvs::frame_file::{FrameReader, LinkReport};
+use eecvs::reconstruct::DecodedWindow;
+use eecvs::reconstruct::hybrid::HybridDecoder;
 use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{self, DenseMemory};
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
@@ -9,10 +13,6 @@ use eecvs_nostd::{
     Readout, Scans, Scratch, Sensor, Slot, Window, WindowBuffers, WindowConfig, WindowEncoder,
     bitmap_words, segments,
 };
-use host_harness::decode::WindowReader;
-use host_harness::frame_file::{FrameReader, LinkReport};
-use host_harness::reconstruct::DecodedWindow;
-use host_harness::reconstruct::hybrid::HybridDecoder;
 use proptest::prelude::*;
 use strategies::{encode, hybrid, job, parse};
 

@@ -3,19 +3,19 @@
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::Path;
 
+use eecvs::decode::{FrameCounts, WindowReader};
+use eecvs::encode::{HostStorage, Limits, encode as encode_file, readout};
+use eecvs::frame_file::{FrameReader, LinkReport};
+use eecvs::reconstruct::order::by_time;
+use eecvs_bench::table::keep_order::{self, Row};
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, OrderSection, seal};
 use eecvs_nostd::{
     Cells, Coder, Config, ConfigError, Encoder, Event, Fidelity, Filter, Frame, FrameError, Header,
     Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity, Push, Region, Sensor, SetupError, Storage, Transform,
     bitmap_words, segments,
 };
-use host_harness::decode::{FrameCounts, WindowReader};
-use host_harness::encode::{HostStorage, Limits, encode as encode_file, readout};
-use host_harness::formats::{self, EventReader};
-use host_harness::frame_file::{FrameReader, LinkReport};
-use host_harness::reconstruct::order::by_time;
-use host_harness::report::keep_order_table::{self, Row};
-use host_harness::scene::{Preset, SceneConfig, emulate};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::EventReader;
 use proptest::prelude::*;
 use strategies::{encode, hold_against_record, hybrid, job, parse, plain_config};
 
@@ -436,7 +436,10 @@ fn recordings_come_back_in_order() {
             continue;
         }
         for coder in CODERS {
-            let bits = there_and_back(|| formats::open(&path, None).expect("a recording"), coder);
+            let bits = there_and_back(
+                || event_files::open(&path, None).expect("a recording"),
+                coder,
+            );
             assert!(bits < most_bits, "{name}: {bits}");
             rows.push(Row {
                 recording: name.split('/').next().unwrap_or(name).to_owned(),
@@ -446,8 +449,8 @@ fn recordings_come_back_in_order() {
         }
     }
     if is_whole {
-        let section = keep_order_table::document(&rows);
-        hold_against_record("keep-order", &rows, 0.0, keep_order_table::MARKS, |_| {
+        let section = keep_order::document(&rows);
+        hold_against_record("keep-order", &rows, 0.0, keep_order::MARKS, |_| {
             Some(section)
         });
     }

@@ -1,5 +1,6 @@
 //! Every kernel of the accumulate stage against the f64 oracle, within its documented error.
 
+use eecvs_bench::kernel::Number;
 use eecvs_nostd::Transform;
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
 use eecvs_nostd::group::Impulse;
@@ -7,8 +8,7 @@ use eecvs_nostd::kernel::{Accumulate, Haar, Kernel, Libm, Micromath, Precise, Re
 use eecvs_nostd::transform::haar_scale::scale_of;
 use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt, GRID_MAX};
-use host_harness::bench::kernel::Number;
-use host_harness::reference::{dwt, transform as oracle};
+use eecvs_oracle::{dwt, transform as oracle};
 use num_complex::Complex64;
 use proptest::prelude::*;
 

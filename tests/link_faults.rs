@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 use std::io::Read;
 
+use eecvs::frame_file::{FrameReader, LinkReport};
 use eecvs_nostd::OUTPUT_BYTES_MIN;
-use host_harness::frame_file::{FrameReader, LinkReport};
 use proptest::prelude::*;
 use strategies::{encode, job};
 

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use eecvs::reconstruct::{Pixel, pixels};
+use eecvs_bench::oracle_of;
 use eecvs_nostd::{Config, Event, Header, Polarity, Sensor, Transform};
-use host_harness::bench::oracle_of;
-use host_harness::reconstruct::{Pixel, pixels};
-use host_harness::reference::prune;
-use host_harness::reference::transform::Impulse;
+use eecvs_oracle::prune;
+use eecvs_oracle::transform::Impulse;
 use num_complex::Complex64;
 use proptest::prelude::*;
 use proptest::test_runner::TestCaseError;

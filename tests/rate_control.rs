@@ -8,15 +8,15 @@ use std::collections::BTreeMap;
 use std::num::NonZeroU32;
 use std::path::Path;
 
+use eecvs::decode::WindowReader;
+use eecvs::encode::{Budget, Codec, Limits, encode as encode_all};
+use eecvs::frame_file::FrameReader;
+use eecvs_bench::table::rate_control::{self, Row};
 use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Header, Hybrid, Mode, Polarity, Sensor, Transform,
 };
-use host_harness::decode::WindowReader;
-use host_harness::encode::{Budget, Codec, Limits, encode as encode_all};
-use host_harness::formats::{self, EventReader, Skipped};
-use host_harness::frame_file::FrameReader;
-use host_harness::metrics::compare;
-use host_harness::report::rate_control_table::{self, Row};
+use event_files::{EventReader, Skipped};
+use event_metrics::compare;
 use proptest::prelude::*;
 use strategies::{encode, hold_against_record, parse, plain_config};
 
@@ -241,7 +241,7 @@ impl EventReader for Memory {
         self.1
     }
 
-    fn read(&mut self, events: &mut Vec<Event>) -> anyhow::Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
         let before = events.len();
         events.extend(self.0.by_ref().take(1 << 14));
         Ok(events.len() - before)
@@ -271,7 +271,7 @@ fn emd_pixel_us(sensor: Sensor, events: &[Event], frames: &[Vec<u8>], from_us: u
     };
     let (a, b) = (later(events), later(&decoded));
     let open = |events: Vec<Event>| {
-        move || -> anyhow::Result<Box<dyn EventReader>> {
+        move || -> event_types::stream::Result<Box<dyn EventReader>> {
             let events = events.clone().into_iter();
             Ok(Box::new(Memory(events, sensor, Skipped::default())))
         }
@@ -327,7 +327,7 @@ fn a_flood_fits_its_link() {
         eprintln!("skipped: {} is absent", path.display());
         return;
     }
-    let mut reader = formats::open(&path, None).expect("a recording");
+    let mut reader = event_files::open(&path, None).expect("a recording");
     let mut once = Vec::new();
     while reader.read(&mut once).expect("a recording") > 0 {}
     let first = once.iter().map(|event| event.t_us).min().expect("events");
@@ -378,13 +378,9 @@ fn a_flood_fits_its_link() {
             }
         }
     }
-    let section = rate_control_table::document(&rows);
+    let section = rate_control::document(&rows);
     print!("{section}");
-    hold_against_record(
-        "rate-control",
-        &rows,
-        0.0,
-        rate_control_table::MARKS,
-        |_| Some(section),
-    );
+    hold_against_record("rate-control", &rows, 0.0, rate_control::MARKS, |_| {
+        Some(section)
+    });
 }

@@ -6,13 +6,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use eecvs::decode::WindowReader;
+use eecvs::encode::{Limits, all_cores, encode, readout};
+use eecvs::frame_file::FrameReader;
 use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Hybrid, Mode, Polarity, Thresholds, WindowConfig,
 };
-use host_harness::decode::WindowReader;
-use host_harness::encode::{Limits, all_cores, encode, readout};
-use host_harness::formats;
-use host_harness::frame_file::FrameReader;
 
 /// Bits per event at the most: lossless with the fast and the dense coder, within 50 us and in 8 bins
 /// with the dense one.
@@ -82,7 +81,7 @@ fn multiset<'e>(events: impl Iterator<Item = &'e Event>) -> Multiset {
 
 /// Every event of a recording.
 fn events(path: &Path) -> Vec<Event> {
-    let mut reader = formats::open(path, None).expect("a recording");
+    let mut reader = event_files::open(path, None).expect("a recording");
     let mut events = Vec::new();
     while reader.read(&mut events).expect("a recording") > 0 {}
     events
@@ -90,7 +89,7 @@ fn events(path: &Path) -> Vec<Event> {
 
 /// Frames of a recording, and their bits per event.
 fn frames(path: &Path, hybrid: Hybrid) -> (Vec<u8>, f64) {
-    let reader = formats::open(path, None).expect("a recording");
+    let reader = event_files::open(path, None).expect("a recording");
     let config = Config::new(
         WindowConfig::new(reader.sensor(), 32_768),
         Thresholds::new(0, 0).expect("equal thresholds"),

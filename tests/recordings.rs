@@ -7,15 +7,14 @@ use std::collections::BTreeMap;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
+use eecvs::calibrate::Calibration;
+use eecvs::decode::WindowReader;
+use eecvs::encode::{Limits, all_cores, encode};
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::{DecodedWindow, Pixel};
 use eecvs_nostd::{Config, Mode, Thresholds, Transform, WindowConfig};
-use host_harness::calibrate::Calibration;
-use host_harness::decode::WindowReader;
-use host_harness::encode::{Limits, all_cores, encode};
-use host_harness::formats;
-use host_harness::frame_file::FrameReader;
-use host_harness::reconstruct::{DecodedWindow, Pixel};
-use host_harness::reference::window::{HOST_CAPACITY, Window, Windower};
-use host_harness::reference::{self, density, prune, regime, transform as oracle};
+use eecvs_oracle::window::{HOST_CAPACITY, Window, Windower};
+use eecvs_oracle::{density, prune, regime, transform as oracle};
 
 const WINDOW_US: u32 = 32_768;
 
@@ -31,7 +30,7 @@ fn recording(path: &str) -> Option<PathBuf> {
 }
 
 fn frames(path: &Path, transform: Option<Transform>, m: u8, thresholds: Thresholds) -> Vec<u8> {
-    let mut reader = formats::open(path, None).expect("a recording");
+    let mut reader = event_files::open(path, None).expect("a recording");
     let config = Config {
         transform,
         m,
@@ -62,7 +61,7 @@ fn frames(path: &Path, transform: Option<Transform>, m: u8, thresholds: Threshol
 }
 
 fn oracle_windows(path: &Path) -> Vec<Window> {
-    let mut reader = formats::open(path, None).expect("a recording");
+    let mut reader = event_files::open(path, None).expect("a recording");
     let mut windower = Windower::new(NonZeroU32::new(WINDOW_US).expect("not 0"), HOST_CAPACITY);
     let mut windows = Vec::new();
     let mut events = Vec::new();
@@ -143,7 +142,7 @@ fn check_coefficients(path: &Path, windows: &[Window]) {
             let bytes = frames(path, Some(transform), m, thresholds);
             let mut count = 0;
             decoded_windows(&bytes, |index, window| {
-                let expected = reference::coefficients(
+                let expected = eecvs_oracle::coefficients(
                     &windows[index],
                     oracle_kind(transform),
                     usize::from(window.header.grid),
@@ -163,14 +162,14 @@ fn check_coefficients(path: &Path, windows: &[Window]) {
 /// `--transform auto` under the recording's own thresholds and under those of the scenes.
 fn check_regimes(path: &Path, windows: &[Window]) {
     let mut calibration = Calibration::new(NonZeroU32::new(WINDOW_US).expect("not 0"));
-    let mut reader = formats::open(path, None).expect("a recording");
+    let mut reader = event_files::open(path, None).expect("a recording");
     let sensor = reader.sensor();
     calibration
         .add(reader.as_mut(), &mut |_| ())
         .expect("a recording");
     let own = calibration.thresholds().expect("events");
     let own = Thresholds::new(own.tau_low_pico, own.tau_high_pico).expect("in order");
-    let scenes = host_harness::thresholds_file::ThresholdsFile::scenes()
+    let scenes = eecvs::thresholds_file::ThresholdsFile::scenes()
         .and_then(|file| file.thresholds())
         .expect("the thresholds that come with the program");
     for thresholds in [own, scenes] {

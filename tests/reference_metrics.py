@@ -5,7 +5,7 @@
     python3 tests/reference_metrics.py
     python3 tests/reference_metrics.py WINDOW_US A.npz B.npz [WINDOW_US A.npz B.npz ...]
 
-The first prints the literals of host-harness/src/metrics/tests.rs. Their recordings come from the
+The first prints the literals of crates/event-metrics/src/tests.rs. Their recordings come from the
 integer generator below, which the Rust test repeats, so no data file is needed. The second compares
 recordings, one JSON object a line; host-harness/tests/metrics_reference.rs runs it. Exit status 77: a
 package is missing.

@@ -3,15 +3,15 @@
 use std::num::{NonZeroU32, NonZeroUsize};
 
 use anyhow::Result;
+use eecvs::decode::{WindowEvents, WindowReader};
+use eecvs::encode::{EncodeSummary, Limits, encode};
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::events::Finder;
 use eecvs_nostd::{
     Coder, Config, Event, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor, Transform,
 };
-use host_harness::decode::{WindowEvents, WindowReader};
-use host_harness::encode::{EncodeSummary, Limits, encode};
-use host_harness::formats::{EventReader, Skipped};
-use host_harness::frame_file::FrameReader;
-use host_harness::metrics::compare;
-use host_harness::reconstruct::events::Finder;
+use event_files::{EventReader, Skipped};
+use event_metrics::compare;
 use proptest::prelude::*;
 use strategies::plain_config;
 
@@ -48,7 +48,7 @@ impl EventReader for Source {
         SENSOR
     }
 
-    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
         let rest = &self.events[self.at..];
         let batch = &rest[..self.batch.min(rest.len())];
         events.extend(batch);
@@ -233,7 +233,7 @@ proptest! {
             let open = |events: &[Event]| -> Result<Box<dyn EventReader>> {
                 Ok(Box::new(Source::new(events, 64)))
             };
-            compare(&|| open(&events), &|| open(b), window_us, &mut |_| {}).expect("no errors")
+            compare(&|| open(&events).map_err(event_types::stream::Error::other), &|| open(b).map_err(event_types::stream::Error::other), window_us, &mut |_| {}).expect("no errors")
         };
         let all = compared(&found);
         prop_assert_eq!((all.exact_fraction, all.mse, all.emd_pixel_us), (1.0, 0.0, 0.0));

@@ -4,13 +4,13 @@ pub mod one_pixel;
 
 use std::path::Path;
 
+use eecvs::encode::HostStorage;
+use eecvs_bench::marks::Marks;
+use eecvs_bench::record_file::{self, RecordFile};
 use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Push, Quantiser, Scan, Sensor,
     Thresholds, Transform, WindowConfig, scan,
 };
-use host_harness::encode::HostStorage;
-use host_harness::record_file::{self, RecordFile};
-use host_harness::report::marks::Marks;
 use proptest::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;

@@ -1,9 +1,10 @@
 //! The core's tree shows the data flow, and stays so: few entries, no circles, and the targets' choices in one
-//! place of each stage.
+//! place of each stage. The crates are of use by themselves: few packages, and none depends on the command.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// Entries of the core's source folder.
 const ENTRIES_MAX: usize = 26;
@@ -198,4 +199,88 @@ fn no_imports_run_in_circles() {
         })
         .collect();
     assert!(circle.is_empty(), "{circle:#?}");
+}
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// What a program that depends on a crate without its default features builds, itself left out.
+fn packages(of: &[&str]) -> BTreeSet<String> {
+    let mut tree = Command::new(env!("CARGO"));
+    tree.current_dir(root())
+        .args([
+            "tree",
+            "--locked",
+            "--no-default-features",
+            "--prefix",
+            "none",
+        ])
+        .args(["--edges", "normal,build", "--format", "{p}"])
+        .args(of);
+    let output = tree.output().expect("cargo runs");
+    assert!(output.status.success(), "{output:?}");
+    let text = String::from_utf8(output.stdout).expect("names");
+    let names = text.lines().map(|line| line.trim_end_matches(" (*)"));
+    names
+        .filter(|name| !name.is_empty())
+        .map(str::to_owned)
+        .collect()
+}
+
+/// A reader of one format and a decoder of frames take few packages.
+#[test]
+fn the_libraries_are_light() {
+    for (of, most) in [
+        (&["-p", "event-types", "--features", "std"][..], 1),
+        (&["-p", "event-files"], 30),
+        (&["-p", "eecvs"], 50),
+    ] {
+        let packages = packages(of);
+        assert!(packages.len() <= most, "{of:?}: {packages:#?}");
+        for heavy in ["clap", "indicatif", "anyhow"] {
+            let is_there = packages
+                .iter()
+                .any(|name| name.split(' ').next() == Some(heavy));
+            assert!(!is_there, "{of:?}: {heavy}");
+        }
+    }
+}
+
+/// The command is where everything ends: whoever wants a part of it depends on a library.
+#[test]
+fn no_crate_depends_on_the_command() {
+    let mut checked = 0;
+    let folders = fs::read_dir(root()).unwrap();
+    let crates = fs::read_dir(root().join("crates")).unwrap();
+    for entry in folders.chain(crates) {
+        let manifest = entry.unwrap().path().join("Cargo.toml");
+        let Ok(text) = fs::read_to_string(&manifest) else {
+            continue;
+        };
+        checked += 1;
+        let is_own = text.contains("name = \"host-harness\"");
+        let names = text.lines().filter(|line| line.starts_with("host-harness"));
+        assert!(is_own || names.count() == 0, "{}", manifest.display());
+    }
+    assert!(checked > 12, "{checked}");
+}
+
+/// Lines of the command's own code, at the most.
+const COMMAND_LINES_MAX: usize = 30_000;
+
+#[test]
+fn the_command_is_thin() {
+    fn lines(folder: &Path) -> usize {
+        let entries = fs::read_dir(folder).unwrap();
+        entries
+            .map(|entry| entry.unwrap().path())
+            .map(|path| match path.is_dir() {
+                true => lines(&path),
+                false => fs::read_to_string(&path).unwrap().lines().count(),
+            })
+            .sum()
+    }
+    let lines = lines(&root().join("host-harness/src"));
+    assert!(lines <= COMMAND_LINES_MAX, "{lines}");
 }

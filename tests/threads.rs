@@ -4,11 +4,11 @@ use std::collections::VecDeque;
 use std::io::{self, Write};
 use std::num::NonZeroUsize;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
+use eecvs::encode::{EncodeSummary, Limits, encode};
 use eecvs_nostd::{Coder, Config, Event, Mode, OUTPUT_BYTES_MIN, Sensor, Thresholds, Transform};
-use host_harness::encode::{EncodeSummary, Limits, encode};
-use host_harness::formats::{EventReader, Skipped};
-use host_harness::scene::{Preset, SceneConfig, emulate};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::{ErrorKind, EventReader, Skipped};
 use proptest::prelude::*;
 use strategies::{encode as frames_of, hybrid, job, plain_config};
 
@@ -55,7 +55,7 @@ impl EventReader for Source {
         self.sensor
     }
 
-    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
         let size = self.batches[self.read % self.batches.len()];
         self.read += 1;
         let batch: Vec<_> = self.events.drain(..size.min(self.events.len())).collect();
@@ -64,7 +64,9 @@ impl EventReader for Source {
                 t_us: event.t_us + 3_600_000_000,
                 ..*event
             })),
-            End::Damage if batch.is_empty() => bail!("memory: byte 7: damaged"),
+            End::Damage if batch.is_empty() => {
+                event_types::bail!(Damaged, "memory: byte 7: damaged")
+            }
             End::Panic if batch.is_empty() => panic!("a reader's mistake"),
             _ => {}
         }
@@ -263,8 +265,9 @@ fn a_writer_that_fails_ends_a_reader_without_end() {
                 let source = Source::new(SENSOR, &events, &[1 << 12], End::Never);
                 let error = run(source, config, limits, threads, &mut Disk { room })
                     .expect_err("the disk is full");
-                let kind = error.downcast_ref::<io::Error>().map(io::Error::kind);
-                assert_eq!(kind, Some(io::ErrorKind::StorageFull), "{error:#}");
+                let kind = error.downcast_ref().map(event_files::Error::kind);
+                let full = ErrorKind::Io(io::ErrorKind::StorageFull);
+                assert_eq!(kind, Some(full), "{error:#}");
             }
         }
     }

@@ -2,14 +2,14 @@
 
 use std::num::{NonZeroU32, NonZeroUsize};
 
+use eecvs::encode::HostStorage;
+use eecvs::reconstruct::pixels;
 use eecvs_nostd::evt2::{Evt2Decoder, Evt2Encoder, Word};
 use eecvs_nostd::window::{EMPTY_WINDOWS_MAX, EVENTS_MAX};
 use eecvs_nostd::{
     Encoder, Event, NoRoom, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Regime, Sensor, Transform,
 };
-use host_harness::encode::HostStorage;
-use host_harness::reconstruct::pixels;
-use host_harness::reference::{density, regime, window};
+use eecvs_oracle::{density, regime, window};
 use proptest::prelude::*;
 use strategies::{encode, job, parse, plain_config};
 

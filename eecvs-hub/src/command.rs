@@ -3,8 +3,8 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use host_harness::cmd::output::end;
-use host_harness::cmd::variable::have_zenoh_threads;
+use eecvs_cli::output::end;
+use eecvs_cli::variable::have_zenoh_threads;
 use usb_bridge::stop::Stop;
 
 use crate::cmd::{hub, keys, receive, sensor, simulate};

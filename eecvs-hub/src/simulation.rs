@@ -16,10 +16,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
+use eecvs::encode::{Limits, encode};
+use eecvs::thresholds_file::ThresholdsFile;
 use eecvs_nostd::{Coder, Config, Fidelity, Frame, Hybrid, Mode, Sensor, WindowConfig};
-use host_harness::encode::{Limits, encode};
-use host_harness::scene::{PRESETS, SceneConfig, emulate};
-use host_harness::thresholds_file::ThresholdsFile;
+use event_emulator::{PRESETS, SceneConfig, emulate};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
 use serde::Serialize;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::{Event, Sensor};
-use host_harness::formats::{BATCH_EVENTS, EventReader, Pause, Skipped};
+use event_files::{BATCH_EVENTS, EventReader, Pause, Skipped};
 use usb_bridge::peripheral::stream::Pace;
 use usb_bridge::stop::Stop;
 
@@ -216,14 +216,14 @@ impl EventReader for Live {
         self.sensor
     }
 
-    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
         if self.stop.is_asked() {
             self.is_over = true;
         }
         if self.is_over {
             return Ok(0);
         }
-        self.fill()?;
+        self.fill().map_err(event_types::stream::Error::other)?;
         if self.is_over {
             return Ok(0);
         }
@@ -263,7 +263,7 @@ impl EventReader for Live {
 
 #[cfg(test)]
 mod tests {
-    use host_harness::scene::{Preset, SceneConfig, emulate};
+    use event_emulator::{Preset, SceneConfig, emulate};
 
     use super::*;
 

@@ -16,13 +16,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use chromium::Browser;
 use eecvs_hub::board::{Board, HubFigures};
 use eecvs_hub::message::{Events, Status, Stored, now_us};
 use eecvs_nostd::{Coder, Fidelity, Frame, Mode};
-use feed::{Scene, Served, Way, events, name, scene, stamp};
-use host_harness::scene::Preset;
+use event_emulator::Preset;
 use serde_json::{Value, json};
+
+use chromium::Browser;
+use feed::{Scene, Served, Way, events, name, scene, stamp};
 
 /// What measures a page.
 const MEASURE: &str = include_str!("../../host-harness/tests/browser/measure.js");

@@ -8,13 +8,14 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
+use eecvs::decode::{WindowEvents, WindowReader};
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::events::Finder;
 use eecvs_nostd::Event;
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::EventReader;
+
 use fleet::{Fleet, until};
-use host_harness::decode::{WindowEvents, WindowReader};
-use host_harness::formats::EventReader;
-use host_harness::frame_file::FrameReader;
-use host_harness::reconstruct::events::Finder;
-use host_harness::scene::{Preset, SceneConfig, emulate};
 
 /// A program, which ends with the test.
 struct Program(Option<Child>);

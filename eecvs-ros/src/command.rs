@@ -10,8 +10,8 @@ use std::time::Duration;
 use anyhow::{Context as _, Result, anyhow, bail};
 use clap::builder::ValueParser;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
-use host_harness::cmd::output::end;
-use host_harness::cmd::variable::have_zenoh_threads;
+use eecvs_cli::output::end;
+use eecvs_cli::variable::have_zenoh_threads;
 use usb_bridge::stop::Stop;
 
 use crate::arguments::{Has, NodeArguments, RosArguments};

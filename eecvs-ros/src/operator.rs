@@ -17,12 +17,12 @@ use std::io::{self, Write};
 use std::num::NonZeroUsize;
 
 use anyhow::{Context, Result};
+use eecvs::decode::{FrameCounts, Windows};
+use eecvs::encode::{Codec, EncodeSummary, Limits, encode};
+use eecvs::reconstruct::DecodedWindow;
+use eecvs_cli::codec::CodecOptions;
 use eecvs_nostd::{Event, Sensor};
-use host_harness::cmd::encode::CodecOptions;
-use host_harness::decode::{FrameCounts, Windows};
-use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
-use host_harness::formats::{EventReader, Pause};
-use host_harness::reconstruct::DecodedWindow;
+use event_files::{EventReader, Pause};
 
 /// A window, in the sensor's time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -168,7 +168,7 @@ impl Operator for Eecvs {
             &mut frames,
             &mut |_| {},
         );
-        frames.finish(encoded)
+        frames.finish(Ok(encoded?))
     }
 
     fn decoder(&self) -> Box<dyn Decoder> {

@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use eecvs_nostd::{Event, Sensor};
-use host_harness::formats::input::Batch;
-use host_harness::formats::ros::fields::Serialisation;
-use host_harness::formats::ros::message::{Head, Kind};
-use host_harness::formats::ros::message_events::MessageEvents;
-use host_harness::formats::{Assumption, BATCH_EVENTS, EventReader, Pause, Skipped};
+use event_files::input::Batch;
+use event_files::ros::fields::Serialisation;
+use event_files::ros::message::{Head, Kind};
+use event_files::ros::message_events::MessageEvents;
+use event_files::{Assumption, BATCH_EVENTS, EventReader, Pause, Skipped};
 use usb_bridge::stop::Stop;
 
 use crate::message::{EventPacket, Message, Time, sequence_of};
@@ -233,12 +233,12 @@ impl EventReader for PacketReader {
         self.decoder.sensor()
     }
 
-    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
         if self.ended {
             return Ok(0);
         }
         if !self.is_reading {
-            self.next()?;
+            self.next().map_err(event_types::stream::Error::other)?;
         }
         let before = events.len();
         while self.is_reading && events.len() - before < BATCH_EVENTS / 2 {

@@ -12,10 +12,11 @@ use eecvs_ros::message::{EventPacket, Frame, Message, from_cdr, sequence_of};
 use eecvs_ros::names::NodeName;
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
-use host_harness::formats::{EventReader, open};
-use host_harness::scene::{Preset, SceneConfig, emulate};
-use program::{PATIENCE, Program, QOS};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::{EventReader, open};
 use sha2::{Digest, Sha256};
+
+use program::{PATIENCE, Program, QOS};
 
 const DURATION_US: u64 = 300_000;
 

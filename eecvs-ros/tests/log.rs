@@ -8,6 +8,10 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
+use eecvs::decode::WindowReader;
+use eecvs::encode::{EncodeSummary, Limits};
+use eecvs::frame_file::FrameReader;
+use eecvs_cli::codec::CodecOptions;
 use eecvs_nostd::Sensor;
 use eecvs_ros::arguments::RosArguments;
 use eecvs_ros::message::{Frame, Header, Message, Time, to_cdr};
@@ -17,15 +21,12 @@ use eecvs_ros::node::{Context, NAMESPACE};
 use eecvs_ros::operator::{Eecvs, Job, Operator, Operators, Windowed};
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::local::Local;
-use host_harness::cmd::encode::CodecOptions;
-use host_harness::decode::WindowReader;
-use host_harness::encode::{EncodeSummary, Limits};
-use host_harness::formats::EventReader;
-use host_harness::frame_file::FrameReader;
-use host_harness::scene::{Preset, SceneConfig, emulate};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::EventReader;
+use usb_bridge::stop::Stop;
+
 use program::{PATIENCE, Program, QOS};
 use tables::{Row, csv, mcap, number, parquet};
-use usb_bridge::stop::Stop;
 
 #[derive(Parser)]
 #[command(args_override_self = true)]

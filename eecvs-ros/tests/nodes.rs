@@ -12,10 +12,11 @@ use eecvs_ros::names::NodeName;
 use eecvs_ros::packet_reader::PacketReader;
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
-use host_harness::formats::{EventReader, create};
+use event_files::{EventReader, create};
+use usb_bridge::stop::Stop;
+
 use pipeline::{Network, counted, events, scene, through_programs};
 use program::{PATIENCE, Program, QOS};
-use usb_bridge::stop::Stop;
 
 /// The program.
 const EECVS_ROS: &str = env!("CARGO_BIN_EXE_eecvs-ros");

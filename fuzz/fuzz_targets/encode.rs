@@ -4,14 +4,14 @@
 
 use std::num::NonZeroU32;
 
+use eecvs::encode::HostStorage;
+use eecvs::reconstruct::arrival::Arrivals;
+use eecvs::reconstruct::coefficients::CoefficientDecoder;
+use eecvs::reconstruct::hybrid::HybridDecoder;
 use eecvs_nostd::{
     Axis, Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, Mode, Polarity, Push, Quantiser,
     Readout, Region, Sensor, Thresholds, Transform, WindowConfig,
 };
-use host_harness::encode::HostStorage;
-use host_harness::reconstruct::arrival::Arrivals;
-use host_harness::reconstruct::coefficients::CoefficientDecoder;
-use host_harness::reconstruct::hybrid::HybridDecoder;
 use libfuzzer_sys::fuzz_target;
 
 fn to_mode(mode: u8, fidelity: u8) -> Mode {

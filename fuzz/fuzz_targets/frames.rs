@@ -2,9 +2,9 @@
 //! whatever is a frame decodes into events or is refused.
 #![no_main]
 
-use host_harness::decode::WindowReader;
-use host_harness::frame_file::FrameReader;
-use host_harness::reconstruct::events::{EventDecoder, Finder};
+use eecvs::decode::WindowReader;
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|data: &[u8]| {

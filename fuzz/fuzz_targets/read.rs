@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 use drain::{drain, size, source};
-use host_harness::formats::{FORMATS, Format, Opening};
+use event_files::{FORMATS, Format, Opening};
 use libfuzzer_sys::fuzz_target;
 
 static FORMAT: LazyLock<Format> = LazyLock::new(|| {

@@ -4,9 +4,9 @@
 //! host-harness/instructions.sh counts the instructions of the same.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use eecvs::encode::{HostStorage, WINDOW_EVENTS};
+use eecvs_bench::moderate::{EVENTS, SENSOR, config, encode, scene, window};
 use eecvs_nostd::{FRAME_BYTES_MAX, Scan, Transform, scan};
-use host_harness::bench::moderate::{EVENTS, SENSOR, config, encode, scene, window};
-use host_harness::encode::{HostStorage, WINDOW_EVENTS};
 
 fn benches(criterion: &mut Criterion) {
     let scene = scene().expect("a scene");

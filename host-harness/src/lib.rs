@@ -1,36 +1,13 @@
 //! Library behind the `eecvs` command.
 
 pub mod baseline;
-pub mod bench;
-pub mod calibrate;
 pub mod cmd;
-pub mod content;
-pub mod convert;
-pub mod decode;
-pub mod density_series;
 pub mod downstream;
-pub mod encode;
-pub mod exact_density;
-pub mod fit;
-pub mod formats;
-pub mod frame_file;
-pub mod hot_pixels;
-pub mod mcu;
-pub mod metrics;
-pub mod output;
-pub mod progress;
-pub mod reconstruct;
-pub mod record_file;
-pub mod recording_info;
+pub mod rate;
 pub mod recordings;
-pub mod reference;
 pub mod report;
 pub mod round_trip;
-pub mod scene;
-pub mod sort;
-pub mod source;
 pub mod split;
 pub mod study;
-pub mod thresholds_file;
 pub mod view;
 pub mod volume_file;

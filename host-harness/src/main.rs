@@ -3,7 +3,9 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use host_harness::cmd::{self, output::end};
+use eecvs_cli::output::end;
+use eecvs_cli::stop::end_on_signals;
+use host_harness::cmd;
 
 /// Event camera windows as transform coefficients: encode, decode, compare
 #[derive(Debug, Parser)]
@@ -33,7 +35,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    if let Err(error) = cmd::stop::end_on_signals() {
+    if let Err(error) = end_on_signals() {
         return end("eecvs", Err(error));
     }
     // Bad usage ends here, with exit status 2.

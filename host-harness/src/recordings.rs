@@ -12,12 +12,10 @@ use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use eecvs_bench::source::Source;
 use eecvs_nostd::{Event, Polarity};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-
-use crate::formats;
-use crate::source::Source;
 
 /// Endings that a folder is searched for. Of files with the same events, the one whose ending stands
 /// first is taken: what sensors write comes before archives of it. Arrays and text count where they are
@@ -144,7 +142,7 @@ pub fn read<T>(
 /// # Errors
 /// As [`Source::new`]; the message names the file.
 pub fn recording(name: &str, path: &Path) -> Result<Source> {
-    let mut reader = formats::open(path, None)?;
+    let mut reader = event_files::open(path, None)?;
     Source::new(name, reader.as_mut()).with_context(|| path.display().to_string())
 }
 
@@ -262,7 +260,9 @@ fn files(paths: &[PathBuf]) -> Result<Found> {
 /// `FOLDER/*.ENDING` of a file whose ending is that of a format.
 fn passed_by_pattern(path: &Path) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?.to_ascii_lowercase();
-    let mut endings = formats::FORMATS.iter().flat_map(|format| format.endings);
+    let mut endings = event_files::FORMATS
+        .iter()
+        .flat_map(|format| format.endings);
     let ending = endings.find(|ending| name.ends_with(*ending))?;
     (!path.is_dir()).then(|| path.with_file_name(format!("*{ending}")))
 }
@@ -332,11 +332,12 @@ fn stem(path: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
+    use event_files::EventWriter;
+    use event_files::evt::evt2::Evt2Writer;
+    use event_files::evt::evt3::Evt3Writer;
+    use event_types::test_events::{SENSOR, event};
+
     use super::*;
-    use crate::formats::EventWriter;
-    use crate::formats::evt2::Evt2Writer;
-    use crate::formats::evt3::Evt3Writer;
-    use crate::metrics::memory_reader::{SENSOR, event};
 
     /// What a folder is filled with.
     struct Folder(tempfile::TempDir);

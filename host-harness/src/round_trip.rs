@@ -3,14 +3,13 @@
 use std::num::NonZeroUsize;
 
 use anyhow::{Result, ensure};
+use eecvs::decode::WindowReader;
+use eecvs::encode::{Limits, encode, readout};
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::DecodedWindow;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::{Config, Event, Mode, Thresholds, Transform, WindowConfig};
-
-use crate::decode::WindowReader;
-use crate::encode::{Limits, encode, readout};
-use crate::frame_file::FrameReader;
-use crate::reconstruct::DecodedWindow;
-use crate::reconstruct::events::{EventDecoder, Finder};
-use crate::source::{Source, WINDOW_US};
 
 /// The codec's defaults, on the windows of every study.
 #[must_use]

@@ -8,11 +8,10 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
+use eecvs::frame_file::FrameReader;
 use eecvs_nostd::Sensor;
+use event_files::output::{Kind, OutputFile, check};
 use serde::Serialize;
-
-use crate::frame_file::FrameReader;
-use crate::output::{Kind, OutputFile, check};
 
 /// Parts at the most: each is an open file until the end.
 pub const PARTS_MAX: usize = 256;

@@ -11,11 +11,10 @@ use std::io::{BufReader, BufWriter, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use eecvs::reconstruct::volume::Volume;
+use event_files::output::OutputFile;
 use zip::CompressionMethod;
 use zip::write::SimpleFileOptions;
-
-use crate::output::OutputFile;
-use crate::reconstruct::volume::Volume;
 
 /// Volumes are mostly zeros, which the lowest level has out of the way as well as any.
 const DEFLATE_LEVEL: i64 = 1;

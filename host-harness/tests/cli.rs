@@ -5,13 +5,13 @@ mod cli_support;
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::process::Stdio;
 
-use cli_support::{Folder, count, exists, number, text, total};
+use eecvs::thresholds_file::ThresholdsFile;
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats;
-use host_harness::reference::percentile;
-use host_harness::reference::window::{HOST_CAPACITY, Window, windows};
-use host_harness::thresholds_file::ThresholdsFile;
+use eecvs_oracle::percentile;
+use eecvs_oracle::window::{HOST_CAPACITY, Window, windows};
 use serde_json::Value;
+
+use cli_support::{Folder, count, exists, number, text, total};
 
 const WINDOW_US: NonZeroU32 = NonZeroU32::new(32_768).unwrap();
 
@@ -104,7 +104,7 @@ fn encode_accounts_for_every_event_and_inspect_agrees() {
     last.t_us = events[events.len() - 1].t_us + 500_000;
     events.extend(late);
     events.push(last);
-    let mut writer = formats::create(&folder.path("late.csv"), sensor).unwrap();
+    let mut writer = event_files::create(&folder.path("late.csv"), sensor).unwrap();
     writer.write(&events).unwrap();
     writer.finish().unwrap();
 
@@ -227,7 +227,7 @@ fn calibrated_thresholds_are_percentiles_and_steer_the_encoder() {
     let windows = windows(&events, WINDOW_US, HOST_CAPACITY);
     let densities: Vec<f64> = windows
         .iter()
-        .map(|w| host_harness::reference::density::window_density(w, sensor))
+        .map(|w| eecvs_oracle::density::window_density(w, sensor))
         .collect();
     let (low, high) = percentile::thresholds(&densities).unwrap();
     let result = folder
@@ -557,7 +557,7 @@ fn recordings_that_run_back_are_encoded_whole() {
         ("jitter", jitter.collect(), 3),
     ];
     for (name, events, runs_least) in cases {
-        let mut writer = formats::create(&folder.path(&format!("{name}.csv")), sensor).unwrap();
+        let mut writer = event_files::create(&folder.path(&format!("{name}.csv")), sensor).unwrap();
         writer.write(&events).unwrap();
         writer.finish().unwrap();
         let info = folder
@@ -637,7 +637,7 @@ fn a_constant_between_clocks_is_found_and_taken_off() {
     for event in &mut events {
         event.t_us += 100;
     }
-    let mut writer = formats::create(&folder.path("later.raw"), sensor).unwrap();
+    let mut writer = event_files::create(&folder.path("later.raw"), sensor).unwrap();
     writer.write(&events).unwrap();
     writer.finish().unwrap();
     for (a, b, offset_us) in [

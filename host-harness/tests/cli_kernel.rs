@@ -4,15 +4,15 @@ mod cli_support;
 
 use std::num::NonZeroU32;
 
-use cli_support::Folder;
+use eecvs::decode::WindowReader;
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::{DecodedWindow, Pixel};
 use eecvs_nostd::fixed_point::CHUNK_EVENTS;
 use eecvs_nostd::{Event, Kernel, Polarity, Transform};
-use host_harness::decode::WindowReader;
-use host_harness::formats;
-use host_harness::frame_file::FrameReader;
-use host_harness::reconstruct::{DecodedWindow, Pixel};
-use host_harness::reference::window::{HOST_CAPACITY, Window, windows};
-use host_harness::reference::{coefficients, transform};
+use eecvs_oracle::window::{HOST_CAPACITY, Window, windows};
+use eecvs_oracle::{coefficients, transform};
+
+use cli_support::Folder;
 
 /// Large enough for pixels of several chunks.
 const WINDOW_US: NonZeroU32 = NonZeroU32::new(100_000).unwrap();
@@ -53,7 +53,7 @@ fn recording(folder: &Folder) -> Vec<Event> {
         at_start.extend(vec![event; count]);
     }
     events.splice(..0, at_start);
-    let mut writer = formats::create(&folder.path("in.csv"), sensor).unwrap();
+    let mut writer = event_files::create(&folder.path("in.csv"), sensor).unwrap();
     writer.write(&events).unwrap();
     writer.finish().unwrap();
     events
@@ -68,7 +68,9 @@ fn decoded(folder: &Folder, setting: &str, kernel: Option<Kernel>) -> Vec<Decode
         "encode in.csv -o a.eecvs --mode transform --window-us {WINDOW_US} {setting} {flag}"
     );
     folder.eecvs(&line).ok();
-    let mut reader = WindowReader::new(FrameReader::open(&folder.path("a.eecvs")).unwrap());
+    let mut reader = WindowReader::new(FrameReader::new(
+        std::fs::File::open(folder.path("a.eecvs")).unwrap(),
+    ));
     let mut windows = Vec::new();
     while let Some(window) = reader.next_window().unwrap() {
         windows.push(window);

@@ -9,9 +9,10 @@ use std::process::{Child, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use cli_support::{Folder, Outcome, count};
-use host_harness::formats::FORMATS;
+use event_files::FORMATS;
 use serde_json::Value;
+
+use cli_support::{Folder, Outcome, count};
 
 /// Runs `eecvs` with `input` on stdin; also its stdout as it is.
 fn piped(folder: &Folder, line: &str, input: &[u8]) -> (Outcome, Vec<u8>) {

@@ -4,12 +4,13 @@ mod cli_support;
 
 use std::num::{NonZeroU32, NonZeroUsize};
 
-use cli_support::{Folder, count, number, text};
-use host_harness::reference::reconstruct::bins;
-use host_harness::reference::transform::Transform;
-use host_harness::reference::window::{HOST_CAPACITY, Window, windows};
-use host_harness::reference::{coefficients, impulses};
+use eecvs_oracle::reconstruct::bins;
+use eecvs_oracle::transform::Transform;
+use eecvs_oracle::window::{HOST_CAPACITY, Window, windows};
+use eecvs_oracle::{coefficients, impulses};
 use num_complex::Complex64;
+
+use cli_support::{Folder, count, number, text};
 
 const WINDOW_US: NonZeroU32 = NonZeroU32::new(32_768).unwrap();
 

@@ -14,19 +14,20 @@ use std::process::Command;
 use std::time::Duration;
 
 use anyhow::Result;
-use cli_support::{Folder, count, number, text};
+use eecvs::encode::{Limits, encode as host_encode};
 use eecvs_nostd::event_link::{Kind, Setup, Status};
 use eecvs_nostd::{
     Axis, Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Quantiser, Readout, Sensor,
     Thresholds, Transform, WindowConfig,
 };
-use host_harness::encode::{Limits, encode as host_encode};
-use host_harness::formats::EventReader;
-use host_harness::mcu::image::{self, ImageSizes};
-use host_harness::mcu::link::{EventPackets, Message};
-use host_harness::mcu::qemu::{Machine, Qemu};
-use host_harness::mcu::{self, Connection, Job, Outcome};
-use host_harness::scene::{Preset, SceneConfig, emulate};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::EventReader;
+use mcu_link::image::{self, ImageSizes};
+use mcu_link::link::{EventPackets, Message};
+use mcu_link::qemu::{Machine, Qemu};
+use mcu_link::{Connection, Job, Outcome};
+
+use cli_support::{Folder, count, number, text};
 use mcu_peer::{Behaviour, Fault, Peer};
 
 const SCENE: SceneConfig = SceneConfig {
@@ -63,7 +64,7 @@ fn events() -> Vec<Event> {
 }
 
 /// Events in memory.
-struct Recording(Vec<Event>, host_harness::formats::Skipped);
+struct Recording(Vec<Event>, event_files::Skipped);
 impl EventReader for Recording {
     fn format(&self) -> &'static str {
         "memory"
@@ -71,11 +72,11 @@ impl EventReader for Recording {
     fn sensor(&self) -> Sensor {
         SCENE.sensor
     }
-    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
         events.append(&mut self.0);
         Ok(events.len())
     }
-    fn skipped(&self) -> &host_harness::formats::Skipped {
+    fn skipped(&self) -> &event_files::Skipped {
         &self.1
     }
 }
@@ -101,13 +102,13 @@ fn encode(link: &UnixStream, patience: Duration) -> Result<Outcome> {
         hot: &[],
         drop_when_full: false,
     };
-    mcu::run(&mut Connection::new(link, patience)?, &job, &|_| ())
+    mcu_link::run(&mut Connection::new(link, patience)?, &job, &|_| ())
 }
 
 /// A run in which every frame is the host's.
 #[track_caller]
 fn identical(link: &UnixStream) -> Outcome {
-    let outcome = encode(link, mcu::PATIENCE).expect("a run");
+    let outcome = encode(link, mcu_link::PATIENCE).expect("a run");
     outcome.verdict().expect("identical frames");
     assert_eq!(outcome.events, events().len() as u64);
     assert_eq!(outcome.events_encoded, outcome.events);
@@ -163,8 +164,8 @@ fn dense(link: &UnixStream) {
         hot: &hot,
         drop_when_full: false,
     };
-    let mut connection = Connection::new(link, mcu::PATIENCE).expect("a connection");
-    let outcome = mcu::run(&mut connection, &job, &|_| ()).expect("a run");
+    let mut connection = Connection::new(link, mcu_link::PATIENCE).expect("a connection");
+    let outcome = mcu_link::run(&mut connection, &job, &|_| ()).expect("a run");
     outcome.verdict().expect("identical frames");
     assert_eq!(outcome.events_filtered, filtered, "{outcome:?}");
     assert_eq!(outcome.events_encoded + filtered, events.len() as u64);
@@ -224,8 +225,8 @@ fn garbage_in_the_middle(connect: Connect<'_>) {
     let setup = Setup::new(&config(), events[0].t_us & !63);
     let packets = packets(&events, &setup);
     let link = connect();
-    let mut connection = Connection::new(&link, mcu::PATIENCE).expect("a connection");
-    let before = mcu::set_up(&mut connection, &setup).expect("a setup");
+    let mut connection = Connection::new(&link, mcu_link::PATIENCE).expect("a connection");
+    let before = mcu_link::set_up(&mut connection, &setup).expect("a setup");
     let half = packets.len() / 2;
     // No packet, the beginning of a long one, and one whose kind does not exist.
     let garbage = b"\x00\xEE\xEE\xC6\x02\x00\x02\xEE\xC6\x09garbage\xEE\xC6\x02\xFF\xFF".as_slice();
@@ -257,8 +258,8 @@ fn cut_in_a_packet(connect: Connect<'_>) {
     let setup = Setup::new(&config(), events[0].t_us & !63);
     let packets = packets(&events, &setup);
     let link = connect();
-    let mut connection = Connection::new(&link, mcu::PATIENCE).expect("a connection");
-    mcu::set_up(&mut connection, &setup).expect("a setup");
+    let mut connection = Connection::new(&link, mcu_link::PATIENCE).expect("a connection");
+    mcu_link::set_up(&mut connection, &setup).expect("a setup");
     let (last, whole) = packets[..packets.len() / 2].split_last().expect("packets");
     let bytes = [&whole.concat(), &last[..last.len() / 2]].concat();
     let done = std::sync::atomic::AtomicBool::new(false);
@@ -313,8 +314,8 @@ fn flood(connect: Connect<'_>) {
         drop_when_full: true,
     };
     let link = connect();
-    let mut connection = Connection::new(&link, mcu::PATIENCE).expect("a connection");
-    let flooded = mcu::run(&mut connection, &job, &|_| ()).expect("a run");
+    let mut connection = Connection::new(&link, mcu_link::PATIENCE).expect("a connection");
+    let flooded = mcu_link::run(&mut connection, &job, &|_| ()).expect("a run");
     drop((connection, link));
     flooded.verdict().expect("whole frames");
     assert_eq!(flooded.events, many.len() as u64);
@@ -419,7 +420,7 @@ fn what_is_wrong_is_said() {
             ..Behaviour::GOOD
         };
         let peer = Peer::start(behaviour);
-        let outcome = encode(&peer.connect(), mcu::PATIENCE).expect("a run");
+        let outcome = encode(&peer.connect(), mcu_link::PATIENCE).expect("a run");
         assert!(
             frames_different.contains(&outcome.frames_different),
             "{fault:?}: {outcome:?}"
@@ -462,9 +463,9 @@ fn an_encoder_that_fails_ends_the_run() {
     };
     let peer = Peer::start(full);
     let link = peer.connect();
-    let mut connection = Connection::new(&link, mcu::PATIENCE).expect("a connection");
-    mcu::set_up(&mut connection, &Setup::new(&config(), 0)).expect("a setup");
-    let error = mcu::keep_out(&mut connection, SCENE.sensor, &[(3, 0), (1, 7)]);
+    let mut connection = Connection::new(&link, mcu_link::PATIENCE).expect("a connection");
+    mcu_link::set_up(&mut connection, &Setup::new(&config(), 0)).expect("a setup");
+    let error = mcu_link::keep_out(&mut connection, SCENE.sensor, &[(3, 0), (1, 7)]);
     let error = error.expect_err("a pixel too many").to_string();
     assert!(
         error.contains("keeps 1 of 2 hot pixels out: it has no memory for more"),
@@ -513,8 +514,8 @@ fn times_that_words_cannot_carry_are_named() {
         hot: &[],
         drop_when_full: false,
     };
-    let mut connection = Connection::new(&link, mcu::PATIENCE).expect("a connection");
-    let error = mcu::run(&mut connection, &job, &|_| ()).expect_err("a gap");
+    let mut connection = Connection::new(&link, mcu_link::PATIENCE).expect("a connection");
+    let error = mcu_link::run(&mut connection, &job, &|_| ()).expect_err("a gap");
     let error = error.to_string();
     for part in ["event 2: its time 17179869183 us", "2 further events"] {
         assert!(error.contains(part), "{error}");

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats;
-use host_harness::metrics::{self, Comparison};
+use event_metrics::Comparison;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
@@ -108,7 +107,7 @@ fn real(file: &str, window_us: u64) -> Option<Pair> {
         eprintln!("skipped: {} is absent", path.display());
         return None;
     }
-    let mut reader = formats::open(&path, None).expect("a recording");
+    let mut reader = event_files::open(&path, None).expect("a recording");
     let mut a = Vec::new();
     while a.len() < REAL_EVENTS && reader.read(&mut a).expect("a recording") > 0 {}
     a.truncate(REAL_EVENTS);
@@ -145,15 +144,15 @@ fn pairs() -> Vec<Pair> {
 }
 
 fn write(path: &Path, sensor: Sensor, events: &[Event]) {
-    let mut writer = formats::create(path, sensor).expect("a file");
+    let mut writer = event_files::create(path, sensor).expect("a file");
     writer.write(events).expect("events inside of the sensor");
     writer.finish().expect("a file");
 }
 
 fn compared(window_us: u64, a: &Path, b: &Path) -> Comparison {
-    let compared = metrics::compare(
-        &|| formats::open(a, None),
-        &|| formats::open(b, None),
+    let compared = event_metrics::compare(
+        &|| event_files::open(a, None),
+        &|| event_files::open(b, None),
         window_us,
         &mut |_| (),
     );

@@ -4,14 +4,13 @@
 
 mod browser;
 
+use eecvs_bench::source::Source;
 use eecvs_nostd::{Event, Sensor};
-use host_harness::bench;
 use host_harness::downstream::segment::Segmenter;
 use host_harness::downstream::segment::classical::Classical;
 use host_harness::report::strips::LETTER;
 use host_harness::report::study::figures::{self, Figure};
 use host_harness::report::study::{page, tables};
-use host_harness::source::Source;
 use host_harness::study::effort::Effort;
 use host_harness::study::kernels;
 use host_harness::study::record::Record;
@@ -63,7 +62,7 @@ fn study() -> (Results, Vec<Figure>) {
     let sets = sets();
     let record = Record::new(&sets, &[], &EFFORT, "built-in");
     let (store, _) = Store::open(&folder.path().join("rows.jsonl"), record, true).unwrap();
-    kernels::add_to(&store, bench::Effort::QUICK).unwrap();
+    kernels::add_to(&store, eecvs_bench::Effort::QUICK).unwrap();
     let segmenter = || Ok(Box::new(Classical) as Box<dyn Segmenter>);
     study::run(&sets, &EFFORT, &segmenter, &store, &|_, _| ()).unwrap();
     let results = store.results();

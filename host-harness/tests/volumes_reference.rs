@@ -6,9 +6,9 @@ mod cli_support;
 use std::path::Path;
 use std::process::Command;
 
-use cli_support::{Folder, count, number};
-use host_harness::formats;
 use serde_json::Value;
+
+use cli_support::{Folder, count, number};
 
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/reference_volumes.py");
 const SHARED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data");
@@ -49,7 +49,7 @@ const RECORDINGS: [&str; 12] = [
 
 /// Writes the first windows of a recording into `name`.
 fn first_windows(folder: &Folder, path: &Path, name: &str) {
-    let mut reader = formats::open(path, None).expect("a recording");
+    let mut reader = event_files::open(path, None).expect("a recording");
     let mut events = Vec::new();
     while reader.read(&mut events).expect("a recording") > 0
         && events.last().map(|last| last.t_us) < events.first().map(|first| first.t_us + TAKEN_US)
@@ -59,7 +59,7 @@ fn first_windows(folder: &Folder, path: &Path, name: &str) {
     // Frames hold what ascends; a window is a multiset in any case.
     events.sort_by_key(|event| event.t_us);
     events.retain(|event| (start_us..start_us + TAKEN_US).contains(&event.t_us));
-    let mut writer = formats::create(&folder.path(name), reader.sensor()).expect("a file");
+    let mut writer = event_files::create(&folder.path(name), reader.sensor()).expect("a file");
     writer.write(&events).expect("events");
     writer.finish().expect("a file");
 }

@@ -6,10 +6,9 @@ use std::io::Cursor;
 use std::path::Path;
 
 use anyhow::{Context, ensure};
+use eecvs::encode::{HostStorage, WINDOW_EVENTS};
+use eecvs_bench::moderate::{self, SENSOR, config, encode};
 use eecvs_nostd::{Event, FRAME_BYTES_MAX, Scan, Transform, scan};
-use host_harness::bench::moderate::{self, SENSOR, config, encode};
-use host_harness::encode::{HostStorage, WINDOW_EVENTS};
-use host_harness::formats;
 
 /// Events of the files, at the most: the first of the scene.
 const FILE_EVENTS: usize = 100_000;
@@ -37,7 +36,7 @@ fn count_these(work: &mut dyn FnMut()) {
 pub fn prepare(folder: &Path) -> anyhow::Result<()> {
     let scene = moderate::scene()?;
     for (_, file) in READERS {
-        let mut writer = formats::create(&folder.join(file), SENSOR)?;
+        let mut writer = event_files::create(&folder.join(file), SENSOR)?;
         writer.write(&scene[..FILE_EVENTS.min(scene.len())])?;
         writer.finish()?;
     }
@@ -82,7 +81,7 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
 
 /// The events of a file in memory, its header included.
 fn read_all(bytes: Vec<u8>, name: &str) -> anyhow::Result<Vec<Event>> {
-    let mut reader = formats::open_source(Box::new(Cursor::new(bytes)), name, None)?;
+    let mut reader = event_files::open_source(Box::new(Cursor::new(bytes)), name, None)?;
     let mut events = Vec::with_capacity(FILE_EVENTS);
     while reader.read(&mut events)? > 0 {}
     Ok(events)

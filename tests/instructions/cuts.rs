@@ -2,14 +2,14 @@
 //!
 //! A cut is 32-bit little-endian words: width, height, `window_us`, number of events, then the
 //! EVT 2.0 words with the `TIME_HIGH`s that they need. Its windows are those of the encoder:
-//! aligned to the first event. Which events a cut has, [`host_harness::bench::cut`] says.
+//! aligned to the first event. Which events a cut has, [`eecvs_bench::cut`] says.
 
 use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
+use eecvs_bench::cut::{self, Cut};
 use eecvs_nostd::evt2::Evt2Encoder;
-use host_harness::bench::cut::{self, Cut};
 
 /// Writes `folder/recordings/NAME.words` and `folder/emulator/NAME.words`; a cut of a recording
 /// that is not there is an empty file.

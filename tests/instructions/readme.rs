@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use anyhow::Context;
-use host_harness::report::marks::Marks;
+use eecvs_bench::marks::Marks;
 
 use crate::counts::{Counts, Run};
 

@@ -4,14 +4,14 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
+use eecvs::encode::HostStorage;
+use eecvs_bench::cut::EVENTS;
 use eecvs_nostd::coder::dense::words;
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{
     Coder, Config, Encoder, Fidelity, Hybrid, Mode, Push, Sensor, Thresholds, Transform,
     WindowConfig,
 };
-use host_harness::bench::cut::EVENTS;
-use host_harness::encode::HostStorage;
 
 use crate::counts::Run;
 

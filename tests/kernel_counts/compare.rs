@@ -2,9 +2,9 @@
 
 use std::fmt::{self, Display};
 
+use eecvs_bench::mcu::Count;
 use eecvs_nostd::Transform;
 use eecvs_nostd::kernel::Kernel;
-use host_harness::bench::mcu::Count;
 
 use crate::file::origins;
 
@@ -102,9 +102,10 @@ pub fn compare(counts: &[Count], saved: &[Count]) -> Comparison {
 
 #[cfg(test)]
 mod tests {
+    use eecvs_bench::mcu::Part;
+
     use super::*;
     use crate::file::keep_uncounted;
-    use host_harness::bench::mcu::Part;
 
     fn count(origin: &str, all: u64, crowded: u64) -> Count {
         let part = |instructions| Part {

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, ensure};
-use host_harness::bench::mcu::{Count, parse};
+use eecvs_bench::mcu::{Count, parse};
 
 /// The counts of a file.
 pub fn read(path: &Path) -> anyhow::Result<Vec<Count>> {

@@ -18,9 +18,9 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::bail;
-use host_harness::bench::cut::{self, Cut};
-use host_harness::bench::kernel_image::Images;
-use host_harness::bench::{Effort, Origin, windows};
+use eecvs_bench::cut::{self, Cut};
+use eecvs_bench::kernel_image::Images;
+use eecvs_bench::{Effort, Origin, windows};
 
 fn main() -> anyhow::Result<ExitCode> {
     let arguments = std::env::args().skip(1).collect::<Vec<_>>();

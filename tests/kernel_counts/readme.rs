@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use host_harness::bench::mcu::{Count, Part};
-use host_harness::report::marks::Marks;
+use eecvs_bench::marks::Marks;
+use eecvs_bench::mcu::{Count, Part};
 
 const MARKS: Marks = Marks {
     name: "kernels",

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use host_harness::bench::M;
-use host_harness::bench::mcu::Count;
+use eecvs_bench::M;
+use eecvs_bench::mcu::Count;
 
 /// Instructions per event of all pixels, and of the crowded ones: a kernel a line, M across.
 pub fn table(counts: &[Count]) -> String {

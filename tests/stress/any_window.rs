@@ -2,11 +2,11 @@
 
 use std::f64::consts::TAU;
 
+use eecvs::reconstruct::pixels;
+use eecvs_bench::oracle_of;
 use eecvs_nostd::transform::GRID_MAX;
 use eecvs_nostd::{Event, Polarity, Quantiser, Sensor, Transform};
-use host_harness::bench::oracle_of;
-use host_harness::reconstruct::pixels;
-use host_harness::reference::transform::Impulse;
+use eecvs_oracle::transform::Impulse;
 use strategies::one_pixel::{bound, merged};
 use strategies::{encode, parse, plain_config};
 

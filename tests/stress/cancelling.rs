@@ -1,11 +1,11 @@
 //! Events that cancel, exactly and nearly.
 
+use eecvs_bench::errors::bound;
+use eecvs_bench::kernel::kernels;
+use eecvs_bench::window::Window;
 use eecvs_nostd::transform::GRID_MAX;
 use eecvs_nostd::{Quantiser, Transform};
-use host_harness::bench::errors::bound;
-use host_harness::bench::kernel::kernels;
-use host_harness::bench::window::Window;
-use host_harness::reference::transform::Impulse;
+use eecvs_oracle::transform::Impulse;
 use strategies::one_pixel::{check_kept, config, through_the_link};
 
 /// `pairs` of opposite events, each at one time.

@@ -1,7 +1,7 @@
 //! 65,535 events in one pixel.
 
 use eecvs_nostd::{Quantiser, Transform};
-use host_harness::reference::transform::Impulse;
+use eecvs_oracle::transform::Impulse;
 use strategies::one_pixel::{check_kept, config};
 
 const EVENTS: u32 = 65_535;

@@ -1,12 +1,12 @@
 //! The Haar transform at every discontinuity of every atom, one microsecond before and after.
 
+use eecvs_bench::kernel::Number;
 use eecvs_nostd::fixed_point::CHUNK_EVENTS;
 use eecvs_nostd::group::Impulse;
 use eecvs_nostd::kernel::{Accumulate, Haar};
 use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Dwt, GRID_MAX};
-use host_harness::bench::kernel::Number;
-use host_harness::reference::dwt;
+use eecvs_oracle::dwt;
 
 use super::any_window::DURATIONS_US;
 

@@ -11,15 +11,15 @@
 //! | the end of a window beyond 2^64 us | no: what closes it is an event after it |
 //! | the duration of a window that was full | no: an offset is below T |
 
+use eecvs::encode::HostStorage;
+use eecvs::reconstruct::pixels;
+use eecvs_bench::errors::bound;
+use eecvs_bench::kernel::kernels;
+use eecvs_bench::window::Window;
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
 use eecvs_nostd::transform::GRID_MAX;
 use eecvs_nostd::{Event, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Sensor, Transform};
-use host_harness::bench::errors::bound;
-use host_harness::bench::kernel::kernels;
-use host_harness::bench::window::Window;
-use host_harness::encode::HostStorage;
-use host_harness::reconstruct::pixels;
-use host_harness::reference::transform::Impulse;
+use eecvs_oracle::transform::Impulse;
 use strategies::{encode, parse, plain_config};
 
 const SENSOR: Sensor = Sensor {

@@ -7,8 +7,8 @@ use eecvs_nostd::prune::Kept;
 use eecvs_nostd::transform::haar_scale::scale_of;
 use eecvs_nostd::transform::{Basis, Dtft};
 use eecvs_nostd::{Quantiser, Shape, Transform};
-use host_harness::reference::transform::Impulse;
-use host_harness::reference::{dwt, prune};
+use eecvs_oracle::transform::Impulse;
+use eecvs_oracle::{dwt, prune};
 use num_complex::Complex64;
 use strategies::one_pixel::{config, expected, merged, through_the_link};
 
@@ -60,7 +60,7 @@ fn haar_ties_go_to_the_lower_k() {
         cut += usize::from(is_cut && order.len() == usize::from(m));
 
         let oracle = prune::kept(
-            host_harness::reference::transform::Transform::Dwt,
+            eecvs_oracle::transform::Transform::Dwt,
             &expected(&config, &events),
             usize::from(m),
         );
@@ -99,7 +99,7 @@ fn dtft_ties_at_the_start_go_to_the_lower_k() {
                 config.grid = grid;
                 let lowest: Vec<usize> = (0..usize::from(m)).collect();
                 let oracle = prune::kept(
-                    host_harness::reference::transform::Transform::Dtft,
+                    eecvs_oracle::transform::Transform::Dtft,
                     &expected(&config, &events),
                     usize::from(m),
                 );
@@ -163,7 +163,7 @@ fn dtft_ties_of_any_angle_go_to_the_lower_k() {
         cut += usize::from(is_cut);
         let complex = |(re, im): &(i32, i32)| Complex64::new(f64::from(*re), f64::from(*im));
         let oracle = prune::kept(
-            host_harness::reference::transform::Transform::Dtft,
+            eecvs_oracle::transform::Transform::Dtft,
             &pixel.iter().map(complex).collect::<Vec<_>>(),
             r,
         );

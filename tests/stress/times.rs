@@ -1,11 +1,11 @@
 //! Times across the 2^32 us wrap, as Unix time, at the end of 64 bits, and across EVT 2.0's wrap.
 
+use eecvs::encode::HostStorage;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs::reconstruct::{DecodedWindow, pixels};
 use eecvs_nostd::evt2::{Evt2Decoder, Evt2Encoder, Word};
 use eecvs_nostd::transform::{M_MAX, Transform};
 use eecvs_nostd::{Config, Encoder, Event, Polarity, Sensor};
-use host_harness::encode::HostStorage;
-use host_harness::reconstruct::events::{EventDecoder, Finder};
-use host_harness::reconstruct::{DecodedWindow, pixels};
 use strategies::{encode, parse, plain_config};
 
 use super::Random;

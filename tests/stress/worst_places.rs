@@ -1,12 +1,12 @@
 //! Every kernel where its error is the largest that can be found.
 
+use eecvs_bench::errors::{Effort, bound, check, measure, offsets};
+use eecvs_bench::kernel::kernels;
+use eecvs_bench::window::Window;
+use eecvs_bench::{Contender, oracle_of};
 use eecvs_nostd::Transform;
 use eecvs_nostd::transform::GRID_MAX;
-use host_harness::bench::errors::{Effort, bound, check, measure, offsets};
-use host_harness::bench::kernel::kernels;
-use host_harness::bench::window::Window;
-use host_harness::bench::{Contender, oracle_of};
-use host_harness::reference::transform::Impulse;
+use eecvs_oracle::transform::Impulse;
 
 use super::any_window::DURATIONS_US;
 use super::{Random, effort};

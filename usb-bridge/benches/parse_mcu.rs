@@ -8,8 +8,8 @@ use std::path::Path;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use eecvs_nostd::{Event, Sensor};
-use host_harness::formats::{self, EventReader};
-use host_harness::scene::{Preset, SceneConfig, emulate};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::EventReader;
 use usb_bridge::device::mcu::parse::McuParser;
 use usb_bridge::device::mcu::write::McuStream;
 use usb_bridge::device::{Parse, WriteStream};
@@ -25,7 +25,7 @@ fn sources() -> Vec<(&'static str, Box<dyn EventReader>)> {
         ("building", "davis346_building_dense/davis.aedat4"),
         ("dense", "gen3_vga_dense_evt2/evt2.raw"),
     ] {
-        match formats::open(&data.join(path), None) {
+        match event_files::open(&data.join(path), None) {
             Ok(reader) => sources.push((name, reader)),
             Err(error) => eprintln!("skipped: {error:#}"),
         }

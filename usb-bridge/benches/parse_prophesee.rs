@@ -8,10 +8,10 @@ use std::path::Path;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use eecvs_nostd::{Event, Sensor};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::EventReader;
+use event_files::evt::evt21_word::Order;
 use evt3::Evt3Decoder;
-use host_harness::formats::evt21_word::Order;
-use host_harness::formats::{self, EventReader};
-use host_harness::scene::{Preset, SceneConfig, emulate};
 use usb_bridge::device::prophesee::parse_evt3::Evt3Parser;
 use usb_bridge::device::prophesee::parse_evt21::Evt21Parser;
 use usb_bridge::device::prophesee::write_evt3::Evt3Stream;
@@ -43,7 +43,7 @@ fn sources() -> Vec<(&'static str, Vec<Event>)> {
         ("building", "davis346_building_dense/davis.aedat4"),
         ("dense", "gen3_vga_dense_evt2/evt2.raw"),
     ] {
-        match formats::open(&data.join(path), None) {
+        match event_files::open(&data.join(path), None) {
             Ok(reader) => sources.push((name, read(reader))),
             Err(error) => eprintln!("skipped: {error:#}"),
         }

@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use eecvs_nostd::Event;
-use host_harness::formats;
 use serde_json::{Map, Value};
 use usb_bridge::link::usb::{Attached, Bus};
 
@@ -39,7 +38,7 @@ pub fn said(output: &Output) -> Result<Value> {
 
 /// Gives the events of a file, batch by batch.
 pub fn read(path: &Path, take: &mut dyn FnMut(&[Event])) -> Result<()> {
-    let mut reader = formats::open(path, None)?;
+    let mut reader = event_files::open(path, None)?;
     let mut events = Vec::new();
     while reader.read(&mut events)? > 0 {
         take(&events);

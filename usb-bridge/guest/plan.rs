@@ -13,7 +13,6 @@ use std::path::Path;
 
 use anyhow::Result;
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
 use usb_bridge::device::{MODELS, Model};
@@ -51,7 +50,7 @@ pub fn scenes(folder: &str) -> Result<()> {
         };
         let path = Path::new(folder).join(format!("{}.npz", model.name()));
         let events = scene(sensor, EVENTS);
-        let mut file = formats::create(&path, sensor)?;
+        let mut file = event_files::create(&path, sensor)?;
         file.write(&events)?;
         file.finish()?;
         line(*model, "scene", sensor, events, &path);

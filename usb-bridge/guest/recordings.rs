@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
 use eecvs_nostd::{Event, Sensor};
-use host_harness::formats;
 use serde::Deserialize;
 
 /// A recording that has a reader.
@@ -39,7 +38,7 @@ pub fn all(data: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Recording>>
         let sensor = Sensor::new(one.width, one.height).with_context(|| one.name.clone())?;
         // The same events in several formats.
         let mut paths = one.files.iter().map(|file| data.join(&one.name).join(file));
-        match paths.find(|path| formats::open(path, Some(sensor)).is_ok()) {
+        match paths.find(|path| event_files::open(path, Some(sensor)).is_ok()) {
             Some(path) => all.push(Recording {
                 name: one.name,
                 sensor,
@@ -57,7 +56,7 @@ impl Recording {
     /// # Errors
     /// It cannot be read.
     pub fn events(&self, limit: usize) -> Result<Vec<Event>> {
-        let mut reader = formats::open(&self.path, Some(self.sensor))?;
+        let mut reader = event_files::open(&self.path, Some(self.sensor))?;
         let mut events = Vec::new();
         while events.len() < limit && reader.read(&mut events)? > 0 {}
         events.truncate(limit);

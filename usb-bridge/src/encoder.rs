@@ -1,7 +1,7 @@
 //! An encoder on USB or at a serial port that is told what to do: both directions at once, the beginning of
 //! a session, the setup.
 //!
-//! What is said over the link is [`host_harness::mcu`]'s, whatever the link; here is what USB adds.
+//! What is said over the link is [`mcu_link`]'s, whatever the link; here is what USB adds.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::Config;
 use eecvs_nostd::event_link::Setup;
-use host_harness::mcu::connection::Halves;
-use host_harness::mcu::{self, Connection};
+use mcu_link::Connection;
+use mcu_link::connection::Halves;
 
 use crate::device::mcu::{NAME, RESTART};
 use crate::link::control::{Control, Request};
@@ -81,11 +81,11 @@ impl Encoder {
     /// It does not answer, or refuses: the message says why.
     pub fn set_up(self, wish: &Wish<'_>) -> Result<Source> {
         let name = self.name();
-        let mut connection = self.connect(mcu::PATIENCE)?;
+        let mut connection = self.connect(mcu_link::PATIENCE)?;
         let setup = Setup::new(&wish.config, 0);
         let sensor = wish.config.window.sensor;
-        mcu::set_up(&mut connection, &setup)
-            .and_then(|_| mcu::keep_out(&mut connection, sensor, wish.hot))
+        mcu_link::set_up(&mut connection, &setup)
+            .and_then(|_| mcu_link::keep_out(&mut connection, sensor, wish.hot))
             .with_context(|| name)?;
         let rest = connection.incoming().take_rest();
         drop(connection);
@@ -119,7 +119,7 @@ fn lock(link: &Shared) -> MutexGuard<'_, Box<dyn Link>> {
     link.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl mcu::Link for Encoder {
+impl mcu_link::Link for Encoder {
     fn halves(&self) -> io::Result<Halves> {
         let outlet = lock(&self.link).outlet().map_err(io::Error::other)?;
         Ok(Halves {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use eecvs_nostd::{Event, Sensor};
-use host_harness::formats::{BATCH_EVENTS, EventReader, Pause, Skipped};
+use event_files::{BATCH_EVENTS, EventReader, Pause, Skipped};
 
 use crate::clock::{Clock, Relation};
 use crate::device::{EVENTS_PER_BYTE_MAX, Parse};
@@ -194,7 +194,7 @@ impl EventReader for LiveReader {
         Some(&self.camera)
     }
 
-    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
         if !self.ahead.is_empty() {
             let ahead = self.ahead.len();
             events.append(&mut self.ahead);
@@ -210,7 +210,7 @@ impl EventReader for LiveReader {
                         self.words = self.follower.parser().words();
                         self.follower.tell();
                         return match self.pumped.failure() {
-                            Some(failure) => Err(failure.into()),
+                            Some(failure) => Err(event_types::stream::Error::other(failure)),
                             None => Ok(0),
                         };
                     }
@@ -247,16 +247,16 @@ impl EventReader for LiveReader {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::io::{self, Write};
     use std::num::NonZeroUsize;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use clap::Parser;
+    use eecvs::encode::{Limits, encode};
+    use eecvs_cli::codec::CodecOptions;
     use eecvs_nostd::{Polarity, Scan, scan};
-    use host_harness::cmd::encode::CodecOptions;
-    use host_harness::encode::{Limits, encode};
 
+    use super::*;
     use crate::link::{Link, LinkError, Loss, Received};
     use crate::pump;
 

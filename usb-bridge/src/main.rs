@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use host_harness::cmd::output::end;
+use eecvs_cli::output::end;
 use usb_bridge::cmd;
 
 /// Event cameras and the encoder's microcontroller on USB: capture, forward, simulate

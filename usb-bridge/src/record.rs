@@ -7,12 +7,10 @@ use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, anyhow};
+use eecvs::encode::{Codec, EncodeSummary, Limits, encode};
 use eecvs_nostd::Event;
 use eecvs_nostd::frame::Header as FrameHeader;
-use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
-use host_harness::formats::intact::Intact;
-use host_harness::formats::{self, EventReader, Pause};
-use host_harness::output;
+use event_files::{EventReader, Intact, Pause, output};
 
 use crate::device::mcu::messages::{FRAME_BYTES_MAX, Message, Messages};
 use crate::link::Loss;
@@ -43,7 +41,7 @@ impl Kind {
             Self::Frames => output::Kind::Frames,
             Self::Events => output::Kind::Recording,
         };
-        output::check(path, kind, overwrite, inputs)
+        Ok(output::check(path, kind, overwrite, inputs)?)
     }
 }
 
@@ -176,8 +174,8 @@ pub fn events(
     reorder_us: u32,
     order: &mut Order,
 ) -> Result<()> {
-    let mut writer = formats::create_in_place(path, reader.sensor())?;
-    let mut batch: Vec<Event> = Vec::with_capacity(formats::BATCH_EVENTS);
+    let mut writer = event_files::create_in_place(path, reader.sensor())?;
+    let mut batch: Vec<Event> = Vec::with_capacity(event_files::BATCH_EVENTS);
     let mut latest_us = 0;
     let outcome = loop {
         batch.clear();
@@ -196,7 +194,7 @@ pub fn events(
         }
     };
     let finished = writer.finish();
-    outcome.and(finished)
+    Ok(outcome.and(finished)?)
 }
 
 /// What is known of what was written, also where the stream failed.
@@ -225,7 +223,7 @@ pub fn encode_live(
     let summary = encode(&mut reader, codec, limits, threads, out, &mut |_| {})?;
     kept.order = Order::from(&summary);
     kept.encoding = Some(summary);
-    reader.damage().map_or(Ok(()), Err)
+    reader.damage().map_or(Ok(()), |damage| Err(damage.into()))
 }
 
 /// Writes frames to a file, as [`encode_live`].
@@ -308,13 +306,14 @@ pub fn flush(out: &mut dyn Write, path: &Path) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use clap::Parser;
+    use eecvs::decode::WindowReader;
+    use eecvs::frame_file::FrameReader;
+    use eecvs_cli::codec::CodecOptions;
     use eecvs_nostd::{Polarity, Sensor};
-    use host_harness::cmd::encode::CodecOptions;
-    use host_harness::decode::WindowReader;
-    use host_harness::formats::Skipped;
-    use host_harness::frame_file::FrameReader;
+    use event_files::Skipped;
+
+    use super::*;
 
     #[test]
     fn a_time_that_falls_back_further_than_is_put_in_order_begins_a_run() {
@@ -349,9 +348,9 @@ mod tests {
             }
         }
 
-        fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
             match std::mem::take(&mut self.0) {
-                given if given.is_empty() => Err(anyhow!("unplugged")),
+                given if given.is_empty() => Err(event_types::error!(Other, "unplugged")),
                 mut given => {
                     events.append(&mut given);
                     Ok(1)

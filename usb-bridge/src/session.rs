@@ -5,7 +5,7 @@ use std::thread::{self, Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use host_harness::formats::Skipped;
+use event_files::Skipped;
 use serde::Serialize;
 
 use crate::device::mcu::ANY_SENSOR;

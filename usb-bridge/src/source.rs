@@ -7,8 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
-use host_harness::formats;
-use host_harness::output::create_bytes;
+use event_files::output::create_bytes;
 
 use crate::device::{self, Model, find};
 use crate::link::control::Control;
@@ -218,7 +217,7 @@ fn replay(path: &Path, options: &Options) -> Result<Source> {
 fn simulated(model: &str, path: &Path, options: &Options) -> Result<Source> {
     let name = path.display();
     let model = find(model).context("no such model")?;
-    let sensor = formats::open(path, None)?.sensor();
+    let sensor = event_files::open(path, None)?.sensor();
     let unfit = || {
         format!(
             "{name}: no {} has a sensor of {}x{}: convert it with eecvs convert --crop, or choose \
@@ -230,7 +229,7 @@ fn simulated(model: &str, path: &Path, options: &Options) -> Result<Source> {
     };
     let writer = model.writer(sensor).with_context(unfit)?;
     let file = path.to_owned();
-    let open = Box::new(move || formats::open(&file, None));
+    let open = Box::new(move || Ok(event_files::open(&file, None)?));
     let recording = Recording::new(open, writer, options.rate, None);
     let sent = recording.sent();
     let camera = model

@@ -2,9 +2,9 @@
 
 mod cli_support;
 
-use cli_support::{CAMERA, Folder, SENSOR, events, read, sorted};
 use eecvs_nostd::Event;
-use host_harness::formats;
+
+use cli_support::{CAMERA, Folder, SENSOR, events, read, sorted};
 
 /// What a command says in its three ways: the JSON, the table, and the warnings.
 fn said(folder: &Folder, arguments: &[&str]) -> (serde_json::Value, String, String) {
@@ -32,7 +32,7 @@ fn disordered(folder: &Folder) -> Vec<Event> {
     let late: Vec<Event> = (0..3).map(|i| events[5000 + i]).collect();
     let at = events.partition_point(|event| event.t_us < late[2].t_us + 50_000);
     events.splice(at..at, late);
-    let mut writer = formats::create(&folder.path("late.aedat4"), SENSOR).unwrap();
+    let mut writer = event_files::create(&folder.path("late.aedat4"), SENSOR).unwrap();
     writer.write(&events).unwrap();
     writer.finish().unwrap();
     events

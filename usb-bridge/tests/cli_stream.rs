@@ -11,7 +11,6 @@ use std::time::{Duration, Instant};
 use cli_support::{
     CAMERA, EVENTS, Folder, SENSOR, events, free_port, json, listening, read, shifted, sorted,
 };
-use host_harness::formats;
 
 #[test]
 fn every_kind_of_file_has_every_event() {
@@ -38,7 +37,7 @@ fn every_kind_of_file_has_every_event() {
         } else {
             let found = if name == "a.csv" {
                 let mut found = Vec::new();
-                let mut reader = formats::open(&folder.path(name), Some(SENSOR)).unwrap();
+                let mut reader = event_files::open(&folder.path(name), Some(SENSOR)).unwrap();
                 while reader.read(&mut found).unwrap() > 0 {}
                 sorted(found)
             } else {
@@ -175,7 +174,7 @@ fn a_full_disk_is_one_line_and_the_file_can_be_read() {
             "a.eecvs" => read(&path),
             _ => {
                 let mut found = Vec::new();
-                let mut reader = formats::open(&path, None).unwrap();
+                let mut reader = event_files::open(&path, None).unwrap();
                 // What is cut is told, after the events before it.
                 while matches!(reader.read(&mut found), Ok(read) if read > 0) {}
                 sorted(found)

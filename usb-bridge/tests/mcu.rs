@@ -5,11 +5,10 @@
 use std::path::Path;
 use std::sync::LazyLock;
 
+use eecvs::frame_file::FrameReader;
 use eecvs_nostd::event_link::{Kind, Status};
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats;
-use host_harness::frame_file::FrameReader;
-use host_harness::mcu::link::packet;
+use mcu_link::link::packet;
 use proptest::prelude::*;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
@@ -91,7 +90,7 @@ fn recordings_return() {
             eprintln!("skipped: {} is absent", file.display());
             continue;
         }
-        let mut reader = formats::open(&file, None).unwrap();
+        let mut reader = event_files::open(&file, None).unwrap();
         let mut events = Vec::new();
         while reader.read(&mut events).unwrap() > 0 {}
         let bytes = bytes_of(reader.sensor(), &events);

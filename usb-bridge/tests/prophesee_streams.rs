@@ -5,8 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats;
-use host_harness::formats::evt21_word::Order;
+use event_files::evt::evt21_word::Order;
 use proptest::prelude::*;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
@@ -123,7 +122,7 @@ fn shared(path: &str) -> Option<PathBuf> {
 }
 
 fn events_of(path: &Path) -> Vec<Event> {
-    let mut reader = formats::open(path, None).expect("a recording");
+    let mut reader = event_files::open(path, None).expect("a recording");
     let mut events = Vec::new();
     while reader.read(&mut events).expect("a recording") > 0 {}
     events
@@ -328,7 +327,7 @@ fn a_files_reader_makes_the_same_of_any_words() {
         let mut file = b"% evt 3.0\n% geometry 2048x2048\n".to_vec();
         file.extend(&bytes);
         let source = Box::new(std::io::Cursor::new(file));
-        let mut reader = formats::open_source(source, "words", None).unwrap();
+        let mut reader = event_files::open_source(source, "words", None).unwrap();
         let mut expected = Vec::new();
         let ended = loop {
             match reader.read(&mut expected) {

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
+use eecvs::decode::Windows;
+use eecvs::reconstruct::DecodedWindow;
 use eecvs_nostd::{Event, Frame, Polarity, Sensor};
-use host_harness::decode::Windows;
-use host_harness::reconstruct::DecodedWindow;
-use host_harness::report::frame_picture::{FrameStyle, FrameSums, event_frame};
+use event_pictures::frame_picture::{FrameStyle, FrameSums, event_frame};
 
 /// Longest side that is aimed at, in pixels.
 const SIDE: usize = 240;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
-use host_harness::cmd::output::print;
+use eecvs_cli::output::print;
 
 use crate::access::Role;
 use crate::certificate::Authority;

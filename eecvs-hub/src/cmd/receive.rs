@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use host_harness::cmd::output::{print, print_json};
+use eecvs_cli::output::{print, print_json};
 use usb_bridge::stop::Stop;
 
 use super::options::ClientOptions;

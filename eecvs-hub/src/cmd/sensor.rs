@@ -6,14 +6,15 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::Args;
+use eecvs::encode::{Codec, EncodeSummary, Limits, encode};
+use eecvs_cli::codec::CodecOptions;
+use eecvs_cli::options::ReadingOptions;
+use eecvs_cli::order::OrderOptions;
+use eecvs_cli::output::{print, print_json, rows};
+use eecvs_cli::values::preset;
 use eecvs_nostd::Sensor as Size;
-use host_harness::cmd::encode::CodecOptions;
-use host_harness::cmd::options::ReadingOptions;
-use host_harness::cmd::order::OrderOptions;
-use host_harness::cmd::output::{print, print_json, rows};
-use host_harness::encode::{Codec, EncodeSummary, Limits, encode};
-use host_harness::formats::{self, EventReader};
-use host_harness::scene::{Preset, SceneConfig, emulate};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::EventReader;
 use serde::Serialize;
 use usb_bridge::cmd::options::{PlaceOptions, refuse_late, warn_of_losses, warn_of_runs};
 use usb_bridge::device::mcu;
@@ -47,7 +48,7 @@ pub struct Sensor {
 
     /// A scene in place of a device, as `eecvs emulate --list` shows them [default: indoor-flying, without a device and a
     /// recording]
-    #[arg(long, value_enum, conflicts_with_all = ["device", "recording"])]
+    #[arg(long, value_parser = preset(), conflicts_with_all = ["device", "recording"])]
     scene: Option<Preset>,
 
     /// The same seed gives the same scene on every machine
@@ -133,7 +134,7 @@ impl Sensor {
         let (encoding, summary) = match (self.device.name(), &self.recording, self.scene) {
             (Some(_), ..) => self.device(stop)?,
             (None, Some(path), _) => {
-                self.file(formats::open(path, self.reading.reading())?, stop)?
+                self.file(event_files::open(path, self.reading.reading())?, stop)?
             }
             (None, None, scene) => {
                 let mut config = SceneConfig::new(scene.unwrap_or(Preset::IndoorFlying), self.seed);
@@ -267,7 +268,7 @@ impl Sensor {
             &mut out,
             &mut |_| {},
         );
-        out.finish(encoded)
+        out.finish(Ok(encoded?))
     }
 }
 

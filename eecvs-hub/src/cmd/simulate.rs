@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use clap::Args;
+use eecvs_cli::output::{print, print_json, rows};
 use eecvs_nostd::Sensor;
-use host_harness::cmd::output::{print, print_json, rows};
 use usb_bridge::stop::Stop;
 
 use crate::simulation::{Options, Outcome, simulate};

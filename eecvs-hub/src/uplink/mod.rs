@@ -14,8 +14,8 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
+use eecvs::encode::Budget as EncoderBudget;
 use eecvs_nostd::{Frame, Header, Regime, Sensor};
-use host_harness::encode::Budget as EncoderBudget;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::qos::CongestionControl;

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use eecvs_hub::board::kept::{KEPT_BYTES_MAX, Kept};
 use eecvs_hub::board::{Board, SENSORS_MAX};
 use eecvs_nostd::Frame;
-use host_harness::scene::Preset;
+use event_emulator::Preset;
 
 use crate::EXACT;
 use crate::feed::{Way, name, scene, stamp};

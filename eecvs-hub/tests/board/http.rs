@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use eecvs_hub::board::Board;
-use host_harness::scene::Preset;
+use event_emulator::Preset;
 
 use crate::EXACT;
 use crate::feed::{Served, Way, name, scene, stamp};

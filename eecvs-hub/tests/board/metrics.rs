@@ -2,7 +2,7 @@
 
 use eecvs_hub::board::{Board, HubFigures};
 use eecvs_hub::message::Status;
-use host_harness::scene::Preset;
+use event_emulator::Preset;
 
 use crate::EXACT;
 use crate::feed::{Way, name, scene, stamp};

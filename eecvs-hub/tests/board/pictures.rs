@@ -5,8 +5,8 @@ use std::time::Duration;
 use eecvs_hub::board::kept::Kept;
 use eecvs_hub::board::{Board, picture};
 use eecvs_nostd::{Coder, Fidelity, Frame, Mode, Sensor};
-use host_harness::report::frame_picture::{FrameSums, event_frame};
-use host_harness::scene::Preset;
+use event_emulator::Preset;
+use event_pictures::frame_picture::{FrameSums, event_frame};
 
 use crate::EXACT;
 use crate::feed::{Scene, Way, events, name, scene, stamp};

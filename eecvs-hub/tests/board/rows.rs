@@ -9,7 +9,7 @@ use eecvs_hub::board::row::{Losses, Times};
 use eecvs_hub::board::runs::{Place, Runs};
 use eecvs_hub::message::{Events, Status, Stored};
 use eecvs_nostd::{Coder, Fidelity, Frame, Mode};
-use host_harness::scene::Preset;
+use event_emulator::Preset;
 
 use crate::EXACT;
 use crate::feed::{Way, events, name, scene, stamp};

@@ -7,15 +7,15 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use eecvs::encode::{Limits, encode};
+use eecvs_bench::source::Source;
 use eecvs_hub::board::{Board, page};
 use eecvs_hub::key::Name;
 use eecvs_hub::message::{Stamp, now_us};
 use eecvs_nostd::{
     Coder, Config, Density, Fidelity, Frame, Hybrid, Mode, Thresholds, WindowConfig,
 };
-use host_harness::encode::{Limits, encode};
-use host_harness::scene::Preset;
-use host_harness::source::Source;
+use event_emulator::Preset;
 use usb_bridge::stop::Stop;
 
 /// Events themselves, by a coder.

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use eecvs::encode::{Limits, encode};
 use eecvs_hub::access::{Access, Role};
 use eecvs_hub::certificate::Authority;
 use eecvs_hub::downlink::{self, Downlink};
@@ -19,8 +20,7 @@ use eecvs_hub::uplink::{self, Uplink};
 use eecvs_nostd::{
     Coder, Config, Density, Fidelity, Hybrid, Mode, Sensor, Thresholds, WindowConfig,
 };
-use host_harness::encode::{Limits, encode};
-use host_harness::scene::{Preset, SceneConfig, emulate};
+use event_emulator::{Preset, SceneConfig, emulate};
 
 /// Longest wait for what has to happen; a machine may be busy.
 pub const PATIENCE: Duration = Duration::from_secs(60);

@@ -14,9 +14,9 @@
 use core::num::{NonZeroU32, NonZeroU64};
 
 use super::{Coder, Fidelity, Hybrid};
-use crate::event::Sensor;
 use crate::frame::Mode;
 use crate::window::Window;
+use event_types::Sensor;
 
 /// Bits of a distance from a scan.
 pub const FINE_BITS: u32 = 8;

@@ -8,10 +8,10 @@ pub mod window_encoder;
 use crate::coder::arrival_order;
 use crate::encoder::config::{Config, ConfigError, HotError, Scratch, SetupError};
 use crate::encoder::window_encoder::{Encoded, WindowEncoder};
-use crate::event::Event;
 use crate::frame::NoRoom;
 use crate::stage::Trace;
 use crate::window::{Push, Window, WindowBuffers};
+use event_types::Event;
 
 /// A window and its encoder: pushes events, returns frames.
 ///

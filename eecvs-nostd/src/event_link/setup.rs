@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 use super::{Refusal, TooLong, parse_body, write_body};
 use crate::coder::{Axis, Readout};
 use crate::encoder::config::Config;
-use crate::event::Sensor;
 use crate::frame::Mode;
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
 use crate::transform::Transform;
 use crate::window::WindowConfig;
 use crate::window::filter::{Filter, Region};
+use event_types::Sensor;
 
 /// What the encoder is set to by a [`super::Kind::Setup`] packet; postcard writes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

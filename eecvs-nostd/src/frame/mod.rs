@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::checksum::{CRC_16, crc_32};
 use crate::coder::{Axis, Coder, Fidelity, Hybrid, Readout, Scans};
-use crate::event::Sensor;
 use crate::pack::bits_lsb_first::BitReader;
 use crate::pack::descriptor::Descriptor;
 use crate::pack::unpack::UnpackError;
@@ -18,6 +17,7 @@ use crate::regime::Regime;
 use crate::transform::shape::Packing;
 use crate::transform::{GRID_MAX, M_MAX, Transform};
 use crate::window::EVENTS_MAX;
+use event_types::Sensor;
 
 /// First two bytes of a frame.
 pub const SYNC: [u8; 2] = [0xEE, 0xC5];

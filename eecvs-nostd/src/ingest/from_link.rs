@@ -2,8 +2,8 @@
 //! positions.
 
 use crate::event_link::{HotNumbers, Kind, Packet, Receiver, Setup};
-use crate::evt2::is_event;
 use crate::ingest::{EventSource, Input};
+use event_types::evt2::is_event;
 
 /// What is to be done with the receiver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -4,9 +4,9 @@
 use heapless::spsc::{Consumer, Producer};
 
 use crate::event_link::Setup;
-use crate::evt2::is_event;
 use crate::ingest::from_link::LinkSource;
 use crate::ingest::{EventSource, Input};
+use event_types::evt2::is_event;
 
 /// Type of the words that stand for a loss in the queue: EVT 2.0 has none of this type.
 const LOSS: u32 = 7;

@@ -8,10 +8,10 @@ pub mod from_link;
 pub mod from_sensor;
 pub mod reorder;
 
-use crate::event::Event;
 use crate::event_link::Setup;
-use crate::evt2::{Evt2Decoder, Word};
 use crate::window::{NextStart, Push, Window};
+use event_types::Event;
+use event_types::evt2::{Evt2Decoder, Word};
 
 /// What an event source brings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -13,8 +13,8 @@
 //! What comes out follows from the events, N and the length of the memory alone, not from how many events
 //! come at a time.
 
-use crate::event::{Event, Polarity};
 use crate::window::{Push, Window};
+use event_types::{Event, Polarity};
 
 /// An unused place in the memory.
 pub const EMPTY: Event = Event {

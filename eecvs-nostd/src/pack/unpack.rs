@@ -185,9 +185,9 @@ impl Packing {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::Sensor;
     use crate::pack::bits_lsb_first::BitWriter;
     use crate::quantise::Quantiser;
+    use event_types::Sensor;
 
     fn packing(transform: Transform, m: u8, grid: u16, step_log2: i8) -> Packing {
         Packing {

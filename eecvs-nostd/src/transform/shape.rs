@@ -5,9 +5,9 @@
 //! every code parameter follows from the header and from what the pixel sent before, so a frame
 //! decodes by itself.
 
-use crate::event::Sensor;
 use crate::quantise::Quantiser;
 use crate::transform::{Basis, Dct, Dtft, Dwt, Transform};
+use event_types::Sensor;
 
 /// Bytes that one packed pixel can take at the most: gap and counts 15, which coefficients 81,
 /// 128 numbers of 4; `the_largest_pixel_fits_its_bound` packs it.

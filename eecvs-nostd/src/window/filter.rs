@@ -121,8 +121,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::event::{Event, Polarity, Sensor};
     use crate::window::{Slot, WindowBuffers, WindowConfig, bitmap_words, segments};
+    use event_types::{Event, Polarity, Sensor};
 
     fn event(x: u16, y: u16) -> Event {
         Event {

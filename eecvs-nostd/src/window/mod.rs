@@ -8,9 +8,9 @@ use core::num::{NonZeroU32, NonZeroU64};
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
-use crate::event::{Event, Sensor};
-use crate::evt2::{Evt2Decoder, SPAN_US, Word, X_SHIFT, is_event, low_us};
 use crate::window::take_words::Intake;
+use event_types::evt2::{Evt2Decoder, SPAN_US, Word, X_SHIFT, is_event, low_us};
+use event_types::{Event, Sensor};
 
 /// One buffered event: 8 bytes. All zero is a valid empty slot, so buffers live in `.bss`.
 #[derive(

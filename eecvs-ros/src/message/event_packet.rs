@@ -28,8 +28,8 @@ pub struct EventPacket {
 
 impl Message for EventPacket {
     const TYPE: Type = Type {
-        name: host_harness::formats::ros::packets::TYPE_ROS2,
-        hash: host_harness::formats::ros::packets::HASH_ROS2,
-        definition: host_harness::formats::ros::packets::DEFINITION_ROS2,
+        name: event_files::ros::packets::TYPE_ROS2,
+        hash: event_files::ros::packets::HASH_ROS2,
+        definition: event_files::ros::packets::DEFINITION_ROS2,
     };
 }

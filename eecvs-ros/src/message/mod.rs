@@ -13,7 +13,7 @@ mod image;
 mod volume;
 
 use byteorder::LittleEndian;
-use host_harness::formats::ros::fields::{Fields, Serialisation};
+use event_files::ros::fields::{Fields, Serialisation};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 

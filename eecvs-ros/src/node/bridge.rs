@@ -2,8 +2,8 @@
 
 use anyhow::Result;
 use clap::Args;
-use host_harness::cmd::encode::CodecOptions;
-use host_harness::formats::{EventReader, Pause};
+use eecvs_cli::codec::CodecOptions;
+use event_files::{EventReader, Pause};
 use usb_bridge::cmd::options::{DeviceOptions, StreamOptions, warn_of_losses};
 use usb_bridge::device::mcu;
 use usb_bridge::record::{Order, encoders_frames};

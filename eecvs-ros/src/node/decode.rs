@@ -4,12 +4,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
+use eecvs::decode::{FrameCounts, WindowEvents};
+use eecvs::reconstruct::DecodedWindow;
+use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::volume::{Channels, Maker, Weights};
+use eecvs_cli::values::finder;
+use eecvs_cli::volume::VolumeOptions;
 use eecvs_nostd::{Event, Polarity};
-use host_harness::cmd::volume::VolumeOptions;
-use host_harness::decode::{FrameCounts, WindowEvents};
-use host_harness::reconstruct::DecodedWindow;
-use host_harness::reconstruct::events::Finder;
-use host_harness::reconstruct::volume::{Channels, Maker, Weights};
 
 use super::emulate::PacketOptions;
 use super::frame_reader::{Account, FrameReader};
@@ -25,7 +26,7 @@ pub const PUBLISHES: &[&str] = &["decoded/events", "volume", "image"];
 #[derive(Debug, Clone, Args)]
 pub struct Decode {
     /// How event times are found in the coefficients of the DCT and the DTFT (mode transform)
-    #[arg(long, value_enum, value_name = "HOW", default_value = "exact")]
+    #[arg(long, value_parser = finder(), value_name = "HOW", default_value = "exact")]
     events: Finder,
 
     #[command(flatten)]

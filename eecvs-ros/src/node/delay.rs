@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::Args;
-use host_harness::cmd::output::{print, print_json, rows};
+use eecvs_cli::output::{print, print_json, rows};
 use serde::Serialize;
 
 use super::{Context, QosOptions, receive};

@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
+use eecvs::density_series::{DensitySeries, WindowDensity};
+use eecvs_cli::options::ThresholdOptions;
 use eecvs_nostd::{Regime, Sensor, Thresholds};
-use host_harness::cmd::options::ThresholdOptions;
-use host_harness::density_series::{DensitySeries, WindowDensity};
-use host_harness::formats::{EventReader, Pause};
+use event_files::{EventReader, Pause};
 
 use super::{Context, Now, QosOptions, Sender};
 use crate::message::{

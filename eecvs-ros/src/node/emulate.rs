@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::Args;
+use eecvs_cli::options::ReadingOptions;
+use eecvs_cli::values::preset;
 use eecvs_nostd::{Event, Sensor};
-use host_harness::cmd::options::ReadingOptions;
-use host_harness::formats::{self, EventReader, Pause};
-use host_harness::scene::{Preset, SceneConfig, emulate};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::{EventReader, Pause};
 use usb_bridge::peripheral::stream::Pace;
 
 use super::{Context, QosOptions, Sender};
@@ -22,7 +23,7 @@ pub const PUBLISHES: &[&str] = &["events"];
 #[derive(Debug, Clone, Args)]
 pub struct Emulate {
     /// Scene, as `eecvs emulate --list` shows them
-    #[arg(long, value_enum, default_value = "indoor-flying")]
+    #[arg(long, value_parser = preset(), default_value = "indoor-flying")]
     scene: Preset,
 
     /// The same seed gives the same events on every machine
@@ -148,7 +149,7 @@ impl Emulate {
 
     fn open(&self) -> Result<Box<dyn EventReader>> {
         match &self.recording {
-            Some(path) => formats::open(path, self.reading.reading()),
+            Some(path) => Ok(event_files::open(path, self.reading.reading())?),
             None => {
                 let mut config = SceneConfig::new(self.scene, self.seed);
                 config.sensor = self.reading.sensor().unwrap_or(config.sensor);

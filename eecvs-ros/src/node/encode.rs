@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result};
 use clap::Args;
+use eecvs::encode::{EncodeSummary, Limits, WINDOW_EVENTS};
+use eecvs_cli::codec::CodecOptions;
+use eecvs_cli::order::OrderOptions;
 use eecvs_nostd::OUTPUT_BYTES_MIN;
-use host_harness::cmd::encode::CodecOptions;
-use host_harness::cmd::order::OrderOptions;
-use host_harness::encode::{EncodeSummary, Limits, WINDOW_EVENTS};
 
 use super::frames::FrameSender;
 use super::{Context, Now, QosOptions};

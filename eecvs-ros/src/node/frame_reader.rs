@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
-use host_harness::decode::FrameCounts;
+use eecvs::decode::FrameCounts;
 
 use super::{Context, Now, receive};
 use crate::message::Frame;

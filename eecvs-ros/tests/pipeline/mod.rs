@@ -13,8 +13,8 @@ use eecvs_ros::packet_reader::{PacketReader, look};
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
 use eecvs_ros::transport::zenoh::{Links, Zenoh};
-use host_harness::formats::EventReader;
-use host_harness::scene::{Preset, SceneConfig, emulate};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::EventReader;
 use usb_bridge::stop::Stop;
 
 use crate::program::{PATIENCE, Program, QOS};
@@ -90,7 +90,7 @@ pub fn events(mut reader: PacketReader) -> Vec<Event> {
     let mut events = Vec::new();
     loop {
         let read = reader.read(&mut events).unwrap();
-        if read == 0 && reader.pause() == host_harness::formats::Pause::Ended {
+        if read == 0 && reader.pause() == event_files::Pause::Ended {
             break;
         }
     }

@@ -2,7 +2,7 @@
 //! line of JSON for each kernel, transform and M. `firmware/kernels.sh` builds and runs this.
 //!
 //! The cut is the file `cut.words` of the folder that QEMU runs in, read over semihosting:
-//! `host-harness/src/bench/kernel_image.rs` writes it and says what is in it. Counted is what the
+//! `crates/eecvs-bench/src/kernel_image.rs` writes it and says what is in it. Counted is what the
 //! host times: every pixel, from its impulses, oldest first, to sums in memory. They are where a
 //! window has them, in lists of slots. The pixels come in two parts, those of a few events and the
 //! crowded ones, which are counted one after the other.

@@ -12,6 +12,7 @@
 
 use std::f64::consts::TAU;
 
+use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::Sensor;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
@@ -20,7 +21,6 @@ use super::dense_array::{Active, Array, Window};
 use super::pursuit::{Pursuit, Work};
 use super::representation::{Found, Representation};
 use super::stored::Range;
-use crate::source::WINDOW_US;
 
 /// Of the generator.
 const SEED: u64 = 42;
@@ -145,17 +145,17 @@ impl Representation for Ces {
 mod tests {
     use std::sync::Arc;
 
+    use eecvs_bench::marks::of_project;
+    use eecvs_bench::source::{Memory, Source};
     use eecvs_nostd::Event;
+    use event_emulator::Preset;
+    use event_metrics::compare;
+    use event_types::test_events::{SENSOR, event};
 
     use super::*;
     use crate::baseline::dense_array::windows;
     use crate::baseline::stored::Stored;
     use crate::baseline::tests::{decoded, source};
-    use crate::metrics::compare;
-    use crate::metrics::memory_reader::{SENSOR, event};
-    use crate::report::marks::of_project;
-    use crate::scene::Preset;
-    use crate::source::{Memory, Source};
 
     #[test]
     fn coefficients_are_those_of_the_definition() {

@@ -2,10 +2,10 @@
 //!
 //! In memory an array is without the pixels that have nothing in it.
 
+use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::{Event, Sensor};
 
 use super::stored::{Quantiser, Range, Stored};
-use crate::source::{Source, WINDOW_US};
 
 /// Header of a `.npy` file, which every array has.
 pub const HEADER_BYTES: usize = 128;
@@ -177,8 +177,9 @@ impl Active {
 
 #[cfg(test)]
 mod tests {
+    use event_types::test_events::{SENSOR, event};
+
     use super::*;
-    use crate::metrics::memory_reader::{SENSOR, event};
 
     #[test]
     fn windows_lie_on_the_recordings_grid() {

@@ -66,10 +66,11 @@ impl Representation for EventFrame {
 
 #[cfg(test)]
 mod tests {
+    use event_types::test_events::{SENSOR, event};
+
     use super::*;
     use crate::baseline::stored::Stored;
     use crate::baseline::tests::{decoded, source};
-    use crate::metrics::memory_reader::{SENSOR, event};
 
     #[test]
     fn counts_are_kept_and_times_are_not() {

@@ -22,9 +22,9 @@ pub mod tore;
 pub mod voxel;
 
 use anyhow::{Result, ensure};
+use eecvs_bench::source::Source;
 use eecvs_nostd::Event;
 
-use crate::source::Source;
 use ces::{Ces, Law};
 use event_frame::EventFrame;
 use packed::Packer;

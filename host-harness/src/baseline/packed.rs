@@ -118,7 +118,7 @@ mod tests {
     use super::*;
     use crate::baseline::dense_array::Array;
     use crate::baseline::stored::{Range, Stored};
-    use crate::bench::rate::squeeze::unxz;
+    use crate::rate::squeeze::unxz;
 
     #[test]
     fn numbers_lie_in_planes_behind_a_bitmap() {

@@ -19,10 +19,10 @@
 
 use std::f64::consts::TAU;
 
+use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::Polarity;
 
 use super::representation::Found;
-use crate::source::WINDOW_US;
 
 /// Times of the grid for each coefficient, and the fewest.
 const GRID_PER_COEFFICIENT: usize = 16;

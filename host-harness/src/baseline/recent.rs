@@ -95,8 +95,9 @@ impl Recent {
 
 #[cfg(test)]
 mod tests {
+    use event_types::test_events::{SENSOR, event};
+
     use super::*;
-    use crate::metrics::memory_reader::{SENSOR, event};
 
     fn window(number: u64, events: &[Event]) -> Window<'_> {
         Window {

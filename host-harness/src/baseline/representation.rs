@@ -8,12 +8,12 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
+use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::{Event, Polarity, Sensor};
 use rayon::prelude::*;
 
 use super::dense_array::{self, Array, StoredArray, Window, windows};
 use super::stored::{Range, Stored};
-use crate::source::{Source, WINDOW_US};
 
 /// Pixels that one task decodes.
 const PIXELS_PER_TASK: usize = 256;

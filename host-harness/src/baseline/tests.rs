@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
+use eecvs_bench::source::WINDOW_US;
+use event_types::test_events::{SENSOR, event};
 use proptest::prelude::*;
 
 use super::*;
-use crate::metrics::memory_reader::{SENSOR, event};
-use crate::source::WINDOW_US;
 
 /// Events as a recording.
 pub(super) fn source(events: &[Event]) -> Source {

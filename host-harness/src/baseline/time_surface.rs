@@ -10,13 +10,13 @@
 //! Values are f32, or in levels of u16 or u8 from 0 to 1. The decoder has one event for every value of
 //! an age, -tau ln S, of up to T; all but the last event of a pixel and polarity are lost.
 
+use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::{Polarity, Sensor};
 
 use super::dense_array::{Array, Window};
 use super::recent::Recent;
 use super::representation::{Found, Representation};
 use super::stored::Range;
-use crate::source::WINDOW_US;
 
 /// tau, in us.
 const DECAY_US: f64 = WINDOW_US as f64;
@@ -89,10 +89,11 @@ impl Representation for TimeSurface {
 
 #[cfg(test)]
 mod tests {
+    use event_types::test_events::{SENSOR, event};
+
     use super::*;
     use crate::baseline::stored::{Quantiser, Stored};
     use crate::baseline::tests::{decoded, source};
-    use crate::metrics::memory_reader::{SENSOR, event};
 
     #[test]
     fn ages_come_back_as_near_as_the_type_can_tell() {

@@ -14,13 +14,13 @@
 //! 150 us, which the definition does not tell apart, lies in their middle. Of more than k events of a
 //! pixel and polarity the oldest are lost.
 
+use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::{Polarity, Sensor};
 
 use super::dense_array::{Array, Window};
 use super::recent::Recent;
 use super::representation::{Found, Representation};
 use super::stored::Range;
-use crate::source::WINDOW_US;
 
 /// k of the paper.
 pub const DEPTH: usize = 3;
@@ -105,11 +105,12 @@ impl Representation for Tore {
 
 #[cfg(test)]
 mod tests {
+    use event_types::test_events::{SENSOR, event};
+
     use super::*;
     use crate::baseline::representation::arrays;
     use crate::baseline::stored::{Quantiser, Stored};
     use crate::baseline::tests::{decoded, source};
-    use crate::metrics::memory_reader::{SENSOR, event};
 
     #[test]
     fn values_are_those_of_the_definition() {

@@ -18,12 +18,12 @@
 //! those of opposite signs cancel in the bins that they share. A grid of one bin tells nothing of times:
 //! its events lie evenly.
 
+use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::{Polarity, Sensor};
 
 use super::dense_array::{Active, Array, Window};
 use super::representation::{Found, Representation};
 use super::stored::Range;
-use crate::source::WINDOW_US;
 
 /// Makes voxel grids.
 #[derive(Debug, Clone)]
@@ -176,14 +176,15 @@ impl Representation for Voxel {
 
 #[cfg(test)]
 mod tests {
+    use eecvs_nostd::Event;
+    use event_types::test_events::{SENSOR, event};
+
     use super::*;
     use crate::baseline::dense_array::windows;
     use crate::baseline::stored::Stored;
     use crate::baseline::tests::{decoded, source};
-    use crate::metrics::memory_reader::{SENSOR, event};
-    use eecvs_nostd::Event;
 
-    fn frames(source: &crate::source::Source, bins: usize, stored: Stored) -> Vec<Event> {
+    fn frames(source: &eecvs_bench::source::Source, bins: usize, stored: Stored) -> Vec<Event> {
         decoded(&mut Voxel::new(SENSOR, bins), source, stored)
     }
 

@@ -6,22 +6,21 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
+use eecvs_bench::cut::{self, Cut};
+use eecvs_bench::kernel_image::Images;
+use eecvs_bench::marks::Marks;
+use eecvs_bench::mcu::{self, Count};
+use eecvs_bench::window::Windows;
+use eecvs_bench::{
+    Effort, Origin, Row, errors, measure, over_windows, record_file, scaling, skips, steps, windows,
+};
+use eecvs_cli::output::{print, print_json};
+use eecvs_cli::progress::Progress;
+use event_files::output;
 use serde::Serialize;
 
 use super::bench_rate::Rate;
 use super::bench_read;
-use super::output::{print, print_json};
-use crate::bench::cut::{self, Cut};
-use crate::bench::kernel_image::Images;
-use crate::bench::mcu::{self, Count};
-use crate::bench::window::Windows;
-use crate::bench::{
-    Effort, Origin, Row, errors, measure, over_windows, scaling, skips, steps, windows,
-};
-use crate::output;
-use crate::progress::Progress;
-use crate::record_file;
-use crate::report::marks::Marks;
 use crate::report::{error_chart, kernel_chart, kernel_table, rate_table, skip_table};
 
 /// Where recordings are looked for unless a folder is given.
@@ -361,7 +360,7 @@ impl Bench {
 }
 
 pub(super) fn write(path: &Path, text: &str) -> Result<()> {
-    output::write(path, text)
+    Ok(output::write(path, text)?)
 }
 
 /// The largest of each curve and where it is, as powers of two.

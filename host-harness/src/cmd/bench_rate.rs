@@ -4,14 +4,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
+use eecvs_bench::record_file;
+use eecvs_bench::source::{self, Source};
+use eecvs_cli::output::{print, print_json};
+use eecvs_cli::progress::Progress;
 
-use super::output::{print, print_json};
-use crate::bench::rate::{Effort, Row, lossless, measure};
-use crate::progress::Progress;
-use crate::record_file;
+use crate::rate::{Effort, Row, lossless, measure};
 use crate::recordings;
 use crate::report::{rate_chart, rate_table};
-use crate::source::{self, Source};
 
 /// What is asked of it.
 pub struct Rate<'o> {

@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
+use eecvs_cli::output::{print, print_json};
+use event_files::BATCH_EVENTS;
 use serde::Serialize;
-
-use super::output::{print, print_json};
-use crate::formats::{self, BATCH_EVENTS};
 
 /// Times that a file is read; the quickest counts.
 const REPETITIONS: usize = 7;
@@ -76,7 +75,7 @@ fn measure(file: &Path, repetitions: usize) -> Result<Row> {
 
 fn read(file: &Path) -> Result<Row> {
     let start = Instant::now();
-    let mut reader = formats::open(file, None)?;
+    let mut reader = event_files::open(file, None)?;
     let mut batch = Vec::with_capacity(BATCH_EVENTS);
     let mut events = 0;
     loop {

@@ -6,17 +6,16 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
+use eecvs::calibrate::{CalibratedThresholds, Calibration};
+use eecvs::exact_density::decimal;
+use eecvs::thresholds_file::ThresholdsFile;
+use eecvs_cli::options::{OutputOptions, ReadingOptions};
+use eecvs_cli::output::{print, print_json};
+use eecvs_cli::progress::Progress;
+use event_emulator::{PRESETS, SceneConfig, emulate};
+use event_files::EventReader;
+use event_files::output::{self, Kind};
 use serde_json::json;
-
-use super::options::{OutputOptions, ReadingOptions};
-use super::output::{print, print_json};
-use crate::calibrate::{CalibratedThresholds, Calibration};
-use crate::exact_density::decimal;
-use crate::formats::{self, EventReader};
-use crate::output::Kind;
-use crate::progress::Progress;
-use crate::scene::{PRESETS, SceneConfig, emulate};
-use crate::thresholds_file::ThresholdsFile;
 
 /// Seed of the calibrated scenes.
 const SCENE_SEED: u64 = 1;
@@ -75,7 +74,7 @@ impl Calibrate {
             Ok(())
         };
         for file in &self.files {
-            add(formats::open(file, &reading)?.as_mut())?;
+            add(event_files::open(file, &reading)?.as_mut())?;
         }
         if self.scenes {
             for preset in PRESETS {
@@ -86,7 +85,8 @@ impl Calibrate {
         let thresholds = calibration
             .thresholds()
             .with_context(|| self.file_names().join(", "))?;
-        ThresholdsFile::new(&thresholds, self.file_names()).write(&self.output)?;
+        let file = ThresholdsFile::new(&thresholds, self.file_names());
+        output::write(&self.output, file.to_toml())?;
         if self.json {
             print_json(&self.json_object(&thresholds, &skipped))
         } else {
@@ -157,8 +157,9 @@ impl Calibrate {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use clap::{Parser, error::ErrorKind};
+
+    use super::*;
 
     #[derive(Debug, Parser)]
     struct Command {

@@ -3,15 +3,14 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
+use eecvs_cli::options::ReadingOptions;
+use eecvs_cli::output::{print, print_json};
+use eecvs_cli::progress::Progress;
+use event_files::Reading;
+use event_files::content::Rereadable;
+use event_files::output::is_dash;
+use event_metrics::{Comparison, clock};
 use serde::Serialize;
-
-use super::options::ReadingOptions;
-use super::output::{print, print_json};
-use crate::content::Rereadable;
-use crate::formats::Reading;
-use crate::metrics::{self, Comparison, clock};
-use crate::output::is_dash;
-use crate::progress::Progress;
 
 /// Compare recording B with recording A: frames, event times and events
 ///
@@ -40,7 +39,7 @@ impl Compare {
     /// Compares and prints the result on stdout.
     ///
     /// # Errors
-    /// A recording that cannot be read, or what [`metrics::compare`] refuses.
+    /// A recording that cannot be read, or what [`event_metrics::compare`] refuses.
     pub fn run(self) -> Result<()> {
         let reading = self.reading.reading();
         // To later times, as there are none before 0.
@@ -66,7 +65,7 @@ impl Compare {
             0
         };
         let progress = Progress::new("events");
-        let comparison = metrics::compare(
+        let comparison = event_metrics::compare(
             &|| open(&a, ahead_us),
             &|| open(&b, ahead_us.saturating_neg()),
             self.window_us,

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use clap::error::ErrorKind;
-
-use super::options::{FollowOptions, FormatOptions, OutputOptions, ReadingOptions, tell_damage};
-use super::order::SortOptions;
-use super::output::{Place, rows};
-use crate::convert::{Conversion, Converted, Crop, Filter, convert};
+use eecvs_cli::options::{
+    FollowOptions, FormatOptions, OutputOptions, ReadingOptions, tell_damage,
+};
+use eecvs_cli::order::SortOptions;
+use eecvs_cli::output::{Place, rows};
+use event_files::convert::{Conversion, Converted, Crop, Filter, convert};
 
 /// Convert a recording, or a part of it, to another format
 #[derive(Debug, Args)]

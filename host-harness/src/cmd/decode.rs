@@ -4,17 +4,18 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail, ensure};
 use clap::Args;
+use eecvs::decode::{DecodeSummary, WindowReader, decode};
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::volume::Maker;
+use eecvs_cli::options::{FormatOptions, OutputOptions, tell_link};
+use eecvs_cli::output::{Place, rows};
+use eecvs_cli::progress::Progress;
+use eecvs_cli::values::finder;
+use eecvs_cli::volume::VolumeOptions;
+use event_files::input::piped::{name_of, open_bytes};
+use event_files::output::{Kind, is_same};
 
-use super::options::{FormatOptions, OutputOptions, tell_link};
-use super::output::{Place, rows};
-use super::volume::VolumeOptions;
-use crate::decode::{DecodeSummary, WindowReader, decode};
-use crate::formats::{self, piped::name_of};
-use crate::frame_file::FrameReader;
-use crate::output::{Kind, is_same};
-use crate::progress::Progress;
-use crate::reconstruct::events::Finder;
-use crate::reconstruct::volume::Maker;
 use crate::volume_file::{VolumeFile, times_of};
 
 /// Decode frames into events, a coefficient volume or a volume of time bins
@@ -29,7 +30,7 @@ pub struct Decode {
     output: Option<PathBuf>,
 
     /// How event times are found in the coefficients of the DCT and the DTFT (mode transform)
-    #[arg(long, value_enum, value_name = "HOW", default_value = "exact")]
+    #[arg(long, value_parser = finder(), value_name = "HOW", default_value = "exact")]
     events: Finder,
 
     /// Write the float32 C x H x W volume of one window: its coefficients, or with --bins its bins in time. An .npz has
@@ -100,19 +101,21 @@ impl Decode {
             }
         };
         let mut maker = Maker::new(self.form.form(), self.events);
-        let mut windows = WindowReader::new(FrameReader::open(&self.input)?);
+        let mut windows = WindowReader::new(FrameReader::new(open_bytes(&self.input)?));
         let progress = Progress::new("events");
         let summary = decode(
             &mut windows,
             self.events,
             &mut |sensor| match self.output.as_ref().zip(format) {
-                Some((path, format)) => formats::create_as(path, format, sensor).map(Some),
+                Some((path, format)) => event_files::create_as(path, format, sensor).map(Some),
                 None => Ok(None),
             },
             &mut |index, window| match &mut volumes {
                 Some(volumes) if self.all_windows || index == self.window => {
                     let header = &window.header;
-                    volumes.append(&maker.volume(window)?, header.t0_us, header.duration_us)
+                    volumes
+                        .append(&maker.volume(window)?, header.t0_us, header.duration_us)
+                        .map_err(event_types::stream::Error::other)
                 }
                 _ => Ok(()),
             },

@@ -6,29 +6,30 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
+use eecvs::calibrate::Calibration;
+use eecvs::decode::{WindowReader, decode};
+use eecvs::density_series::{WindowDensity, of_recording};
+use eecvs::encode::{Limits, encode};
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::events::Finder;
+use eecvs::thresholds_file::ThresholdsFile;
+use eecvs_bench::record_file;
+use eecvs_cli::output::print;
+use eecvs_cli::progress::Progress;
+use eecvs_cli::values::preset;
 use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Hybrid, Mode, Quantiser, Regime, Sensor, Thresholds, Transform,
     WindowConfig,
 };
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::EventReader;
+use event_files::input::piped::open_bytes;
+use event_files::output::{self, OutputFile};
+use event_pictures::frame_picture::{FrameStyle, FrameSums, comparison_strip};
 
 use super::monitor::{chart_thresholds, points};
-use super::output::print;
-use crate::calibrate::Calibration;
-use crate::decode::{WindowReader, decode};
-use crate::density_series::{WindowDensity, of_recording};
-use crate::encode::{Limits, encode};
-use crate::formats::{self, EventReader};
-use crate::frame_file::FrameReader;
-use crate::metrics;
-use crate::output::{self, OutputFile};
-use crate::progress::Progress;
-use crate::reconstruct::events::Finder;
-use crate::record_file;
 use crate::report::chart;
 use crate::report::demo::{MARKS, Page, Row, document, table};
-use crate::report::frame_picture::{FrameStyle, FrameSums, comparison_strip};
-use crate::scene::{Preset, SceneConfig, emulate};
-use crate::thresholds_file::ThresholdsFile;
 
 const WINDOW_US: NonZeroU32 = NonZeroU32::new(32_768).unwrap();
 const M: u8 = 16;
@@ -44,7 +45,7 @@ pub struct Demo {
     output: PathBuf,
 
     /// Scene to emulate
-    #[arg(long, value_enum, default_value = "outdoor-well-lit-blur")]
+    #[arg(long, value_parser = preset(), default_value = "outdoor-well-lit-blur")]
     scene: Preset,
 
     /// Seed of the scene
@@ -178,7 +179,7 @@ fn say(line: &str) -> Result<()> {
 
 fn write_scene(config: SceneConfig, path: &Path) -> Result<u64> {
     let mut emulator = emulate(config)?;
-    let mut writer = formats::create(path, config.sensor)?;
+    let mut writer = event_files::create(path, config.sensor)?;
     let progress = Progress::new("events emulated");
     let mut events = Vec::new();
     let mut count = 0;
@@ -195,12 +196,12 @@ fn write_scene(config: SceneConfig, path: &Path) -> Result<u64> {
 
 fn calibrate(scene: &Path, path: &Path) -> Result<ThresholdsFile> {
     let mut calibration = Calibration::new(WINDOW_US);
-    calibration.add(formats::open(scene, None)?.as_mut(), &mut |_| ())?;
+    calibration.add(event_files::open(scene, None)?.as_mut(), &mut |_| ())?;
     let file = ThresholdsFile::new(
         &calibration.thresholds()?,
         vec![scene.display().to_string()],
     );
-    file.write(path)?;
+    output::write(path, file.to_toml())?;
     Ok(file)
 }
 
@@ -222,7 +223,7 @@ impl Run {
                 mode,
             )
         };
-        let mut reader = formats::open(&self.scene, None)?;
+        let mut reader = event_files::open(&self.scene, None)?;
         let progress = Progress::new("events");
         let mut show = |events| progress.set(events);
         // The rate in the table is that of one thread, as everywhere where nothing else is said.
@@ -238,15 +239,15 @@ impl Run {
 
         let decoded = self.decoded(name);
         decode(
-            &mut WindowReader::new(FrameReader::open(&frames)?),
+            &mut WindowReader::new(FrameReader::new(open_bytes(&frames)?)),
             Finder::Exact,
-            &mut |sensor| formats::create(&decoded, sensor).map(Some),
+            &mut |sensor| event_files::create(&decoded, sensor).map(Some),
             &mut |_, _| Ok(()),
             &mut show,
         )?;
-        let compared = metrics::compare(
-            &|| formats::open(&self.scene, None),
-            &|| formats::open(&decoded, None),
+        let compared = event_metrics::compare(
+            &|| event_files::open(&self.scene, None),
+            &|| event_files::open(&decoded, None),
             u64::from(WINDOW_US.get()),
             &mut show,
         )?;
@@ -262,12 +263,12 @@ impl Run {
     fn pictures(&self) -> Result<Vec<(String, String)>> {
         let mut windows = Vec::new();
         of_recording(
-            formats::open(&self.scene, None)?.as_mut(),
+            event_files::open(&self.scene, None)?.as_mut(),
             WINDOW_US,
             self.thresholds,
             &mut |window| {
                 windows.push(window);
-                Ok(())
+                Ok::<_, anyhow::Error>(())
             },
         )?;
         let mut pictures = Vec::new();
@@ -315,7 +316,7 @@ impl Run {
     fn strip(&self, window: &WindowDensity, path: &Path) -> Result<()> {
         let until_us = window.t0_us + 4096;
         let sums = |path: &Path| -> Result<FrameSums> {
-            let mut reader = formats::open(path, None)?;
+            let mut reader = event_files::open(path, None)?;
             let mut slice: Vec<Event> = Vec::new();
             let mut events = Vec::new();
             while reader.read(&mut events)? > 0 {

@@ -4,20 +4,19 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
-use clap::ValueEnum;
+use eecvs_cli::options::{FormatOptions, OutputOptions};
+use eecvs_cli::output::{Place, print};
+use eecvs_cli::progress::Progress;
+use eecvs_cli::values::preset;
 use eecvs_nostd::{Event, Polarity, Sensor};
-
-use super::options::{FormatOptions, OutputOptions};
-use super::output::{Place, print};
-use crate::formats::{self, EventReader, EventWriter};
-use crate::progress::Progress;
-use crate::scene::{self, Emulator, PRESETS, Preset, SceneConfig};
+use event_emulator::{Emulator, PRESETS, Preset, SceneConfig};
+use event_files::{EventReader, EventWriter};
 
 /// Emulate a seeded scene and write its events to a recording
 #[derive(Debug, Clone, clap::Args)]
 pub struct Emulate {
     /// Scene type
-    #[arg(value_enum, value_name = "SCENE", required_unless_present = "list")]
+    #[arg(value_parser = preset(), value_name = "SCENE", required_unless_present = "list")]
     scene: Option<Preset>,
 
     /// List the scenes, a line about each, and exit
@@ -91,11 +90,11 @@ impl Emulate {
         config.duration_us = self.duration_us.unwrap_or(config.duration_us);
         config.start_us = self.start_us;
 
-        let mut emulator = scene::emulate(config)?;
-        let mut writer = formats::create_as(output, format, config.sensor)?;
+        let mut emulator = event_emulator::emulate(config)?;
+        let mut writer = event_files::create_as(output, format, config.sensor)?;
         let begun = Instant::now();
-        let written = write_scene(&mut emulator, writer.as_mut())
-            .and_then(|written| writer.finish().map(|()| written))?;
+        let written = write_scene(&mut emulator, writer.as_mut())?;
+        writer.finish()?;
         let seconds = begun.elapsed().as_secs_f64();
         let place = Place::beside([output.as_path()]);
         place.print(&format!("{}\n", self.report(&config, written, seconds)))
@@ -149,14 +148,7 @@ impl Emulate {
 fn scenes() -> String {
     PRESETS
         .iter()
-        .filter_map(|preset| preset.to_possible_value().map(|value| (preset, value)))
-        .map(|(preset, value)| {
-            let about = value
-                .get_help()
-                .map(ToString::to_string)
-                .unwrap_or_default();
-            format!("{:<24}{about}\n", preset.name())
-        })
+        .map(|preset| format!("{:<24}{}\n", preset.name(), preset.about()))
         .collect()
 }
 
@@ -164,7 +156,7 @@ fn scenes() -> String {
 fn write_scene(emulator: &mut Emulator, writer: &mut dyn EventWriter) -> anyhow::Result<Written> {
     let progress = Progress::new("ms of scene");
     let mut written = Written::default();
-    let mut events: Vec<Event> = Vec::with_capacity(formats::BATCH_EVENTS);
+    let mut events: Vec<Event> = Vec::with_capacity(event_files::BATCH_EVENTS);
     while emulator.read(&mut events)? > 0 {
         writer.write(&events)?;
         written.events += events.len() as u64;
@@ -200,13 +192,13 @@ mod tests {
     }
 
     impl EventWriter for Memory {
-        fn write(&mut self, events: &[Event]) -> anyhow::Result<()> {
+        fn write(&mut self, events: &[Event]) -> event_types::stream::Result<()> {
             self.events.extend_from_slice(events);
-            anyhow::ensure!(self.events.len() <= self.room, "full");
+            event_types::ensure!(self.events.len() <= self.room, CannotHold, "full");
             Ok(())
         }
 
-        fn finish(self: Box<Self>) -> anyhow::Result<()> {
+        fn finish(self: Box<Self>) -> event_types::stream::Result<()> {
             Ok(())
         }
     }
@@ -255,19 +247,19 @@ mod tests {
             events: Vec::new(),
             room: usize::MAX,
         };
-        let mut emulator = scene::emulate(config).unwrap();
+        let mut emulator = event_emulator::emulate(config).unwrap();
         let written = write_scene(&mut emulator, &mut writer).unwrap();
         assert_eq!(written.events, writer.events.len() as u64);
         assert!(written.on > 0 && written.on < written.events);
 
-        let mut again = scene::emulate(config).unwrap();
+        let mut again = event_emulator::emulate(config).unwrap();
         let mut expected = Vec::new();
         while again.read(&mut expected).unwrap() > 0 {}
         assert_eq!(writer.events, expected);
 
         writer.events.clear();
         writer.room = 10;
-        let mut emulator = scene::emulate(config).unwrap();
+        let mut emulator = event_emulator::emulate(config).unwrap();
         assert!(write_scene(&mut emulator, &mut writer).is_err());
     }
 

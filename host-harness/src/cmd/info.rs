@@ -4,11 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
-
-use super::options::{ReadingOptions, tell_damage};
-use super::output::{print, print_json, rows};
-use crate::progress::Progress;
-use crate::recording_info::{RecordingInfo, info};
+use eecvs_cli::options::{ReadingOptions, tell_damage};
+use eecvs_cli::output::{print, print_json, rows};
+use eecvs_cli::progress::Progress;
+use event_files::recording_info::{RecordingInfo, info};
 
 /// Print what a recording holds
 #[derive(Debug, Args)]

@@ -5,13 +5,12 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use eecvs::frame_file::{FrameReader, Located};
+use eecvs::reconstruct::same_window;
+use eecvs_cli::options::tell_link;
 use eecvs_nostd::{Fidelity, Header, Mode};
+use event_files::input::piped::{name_of, open_bytes};
 use serde::Serialize;
-
-use super::options::tell_link;
-use crate::formats::piped::name_of;
-use crate::frame_file::{FrameReader, Located};
-use crate::reconstruct::same_window;
 
 /// Print one row per frame of a file
 #[derive(Debug, Args)]
@@ -74,7 +73,7 @@ impl Inspect {
     /// A file that cannot be read or holds no frame; damaged or missing frames, after all the others.
     pub fn run(self) -> Result<()> {
         let name = name_of(&self.input);
-        let mut reader = FrameReader::open(&self.input)?.of_all_sensors();
+        let mut reader = FrameReader::new(open_bytes(&self.input)?).of_all_sensors();
         let mut out = stdout().lock();
         let mut index = 0;
         let mut windows = 0;

@@ -6,13 +6,13 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use eecvs_cli::job::{self, Account, JobOptions, Prepared};
+use eecvs_cli::output::rows;
+use eecvs_cli::values::machine;
+use mcu_link::image::{self, ImageSizes};
+use mcu_link::qemu::{Machine, Qemu};
+use mcu_link::{Connection, Outcome, PATIENCE};
 use serde::Serialize;
-
-use super::job::{self, Account, JobOptions, Prepared};
-use super::output::rows;
-use crate::mcu::image::{self, ImageSizes};
-use crate::mcu::qemu::{Machine, Qemu};
-use crate::mcu::{Connection, Outcome, PATIENCE};
 
 /// Time that an emulator takes to end.
 const END: Duration = Duration::from_millis(200);
@@ -25,7 +25,7 @@ const END: Duration = Duration::from_millis(200);
 #[derive(Debug, Args)]
 pub struct Mcu {
     /// Machine to emulate
-    #[arg(long, value_enum, default_value = "netduinoplus2")]
+    #[arg(long, value_parser = machine(), default_value = "netduinoplus2")]
     machine: Machine,
 
     /// Image to run [default: the encoder's, built by firmware/build.sh]

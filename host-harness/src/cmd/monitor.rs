@@ -6,16 +6,16 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
+use eecvs::density_series::{WindowDensity, of_frames, of_recording};
+use eecvs::frame_file::{FrameReader, LinkReport};
+use eecvs_cli::options::{OutputOptions, ReadingOptions, ThresholdOptions, tell_link};
+use eecvs_cli::output::{Place, print};
 use eecvs_nostd::{Density, Regime, Thresholds};
+use event_files::content::Content;
+use event_files::input::piped::{is_stream, name_of};
+use event_files::output::{self, Kind};
 use serde_json::json;
 
-use super::options::{OutputOptions, ReadingOptions, ThresholdOptions, tell_link};
-use super::output::{Place, print};
-use crate::content::Content;
-use crate::density_series::{WindowDensity, of_frames, of_recording};
-use crate::formats::piped::{is_stream, name_of};
-use crate::frame_file::{FrameReader, LinkReport};
-use crate::output::{self, Kind};
 use crate::report::chart;
 
 /// Columns of a bar.
@@ -77,7 +77,7 @@ impl Monitor {
                 print(&rows.row(&window, rows.most.max(window.density_per_px_s)))?;
             }
             windows.push(window);
-            Ok(())
+            Ok::<_, anyhow::Error>(())
         };
         match Content::of(&self.input)? {
             Content::Frames(source) => {

@@ -5,24 +5,22 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Args;
+use eecvs_bench::marks::Marks;
+use eecvs_cli::output::print;
+use eecvs_cli::progress::Progress;
+use event_files::output;
 use serde::Serialize;
 
-use super::output::print;
-use crate::bench;
 use crate::downstream::segment::classical::Classical;
 use crate::downstream::segment::{Segmenter, open_model};
-use crate::output;
-use crate::progress::Progress;
 use crate::recordings::{self, LeftOut};
-use crate::report::marks::Marks;
 use crate::report::study::figures::{self, Figure};
 use crate::report::study::{page, tables};
 use crate::study::effort::Effort;
-use crate::study::kernels;
 use crate::study::record::Record;
 use crate::study::set::Set;
 use crate::study::store::Store;
-use crate::study::{self, Results};
+use crate::study::{self, Results, kernels};
 
 /// Where recordings are looked for when --data is not given.
 const RECORDINGS: &str = "../shared/data";
@@ -102,9 +100,9 @@ impl Report {
         kernels::add_to(
             &store,
             if self.quick {
-                bench::Effort::QUICK
+                eecvs_bench::Effort::QUICK
             } else {
-                bench::Effort::FULL
+                eecvs_bench::Effort::FULL
             },
         )?;
         let progress = Progress::bar("measurements");

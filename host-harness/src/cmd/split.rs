@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
+use eecvs::frame_file::{FrameReader, LinkReport};
+use eecvs_cli::options::{OutputOptions, tell_link};
+use eecvs_cli::output::{print, print_json};
+use event_files::input::piped::{name_of, open_bytes};
+use event_files::output::is_dash;
 use serde::Serialize;
 
-use super::options::{OutputOptions, tell_link};
-use super::output::{print, print_json};
-use crate::formats::piped::name_of;
-use crate::frame_file::{FrameReader, LinkReport};
-use crate::output::is_dash;
 use crate::split::{Part, split};
 
 /// Take frames of several sensors, or of recordings put together, apart
@@ -52,7 +52,7 @@ impl Split {
     pub fn run(self) -> Result<()> {
         let name = name_of(&self.input);
         self.check()?;
-        let mut reader = FrameReader::open(&self.input)?.of_all_sensors();
+        let mut reader = FrameReader::new(open_bytes(&self.input)?).of_all_sensors();
         std::fs::create_dir_all(&self.output)
             .with_context(|| format!("{}: cannot be created", self.output.display()))?;
         let parts = split(&mut reader, &self.output, self.overwrite.overwrite)

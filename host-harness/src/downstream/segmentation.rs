@@ -3,13 +3,13 @@
 use std::cmp::Ordering;
 
 use anyhow::{Context, Result, ensure};
+use eecvs_bench::source::Source;
 use eecvs_nostd::Event;
 use serde::Serialize;
 
 use super::segment::iou::{foreground_iou, mean_iou};
 use super::segment::{Frame, Masks, Segmenter};
 use super::slices::Slices;
-use crate::source::Source;
 
 /// Frames that are in memory at a time.
 const BATCH: usize = 16;
@@ -49,7 +49,7 @@ pub struct SegmentationReference {
 
 impl SegmentationReference {
     /// Segments frames of `slice_us` from the recording's first event on. In slices of
-    /// [`WINDOW_US`](crate::source::WINDOW_US), whole windows of the codec, a frame depends on the
+    /// [`WINDOW_US`](eecvs_bench::source::WINDOW_US), whole windows of the codec, a frame depends on the
     /// decoded counts alone; in shorter ones on the decoded times, too.
     ///
     /// # Errors
@@ -134,11 +134,12 @@ fn segment(
 
 #[cfg(test)]
 mod tests {
+    use eecvs_bench::source::WINDOW_US;
+    use event_emulator::Preset;
+
     use super::*;
     use crate::downstream::segment::classical::Classical;
     use crate::downstream::test_events::{jittered, shuffled};
-    use crate::scene::Preset;
-    use crate::source::WINDOW_US;
 
     fn source() -> Source {
         Source::scene(Preset::Motorcycle, 1, 200_000).unwrap()

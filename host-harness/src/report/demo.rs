@@ -2,12 +2,11 @@
 
 use std::fmt::Write as _;
 
+use eecvs::encode::EncodeSummary;
+use eecvs_bench::marks::Marks;
+use eecvs_bench::record_file::{Name, name};
+use event_metrics::Comparison;
 use serde::{Deserialize, Serialize};
-
-use super::marks::Marks;
-use crate::encode::EncodeSummary;
-use crate::metrics::Comparison;
-use crate::record_file::{Name, name};
 
 /// One way of encoding the scene, and how well it came back.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -186,8 +185,9 @@ fn escape(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use eecvs_bench::marks::of_project;
+
     use super::*;
-    use crate::report::marks::of_project;
 
     #[test]
     fn the_readme_has_the_marks_and_these_rows() {

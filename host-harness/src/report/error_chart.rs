@@ -6,13 +6,13 @@
 //! is a dashed line. What is far below every bound, or 0, stands at the foot.
 
 use anyhow::{Result, anyhow, ensure};
+use eecvs_bench::errors::{AXES, Row};
+use event_pictures::picture::Picture;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::kernel_chart::{Drawn, FRONT, GRID, PNG_SCALE, colour, legend, power, text};
-use super::picture::Picture;
 use super::picture_backend::PictureBackend;
-use crate::bench::errors::{AXES, Row};
 
 const WIDTH: u32 = 1040;
 const HEAD_HEIGHT: u32 = 104;

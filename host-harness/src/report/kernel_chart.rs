@@ -6,12 +6,12 @@
 //! the foot.
 
 use anyhow::{Result, anyhow, ensure};
+use eecvs_bench::Row;
+use event_pictures::picture::Picture;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::picture::Picture;
 use super::picture_backend::PictureBackend;
-use crate::bench::Row;
 
 const WIDTH: u32 = 1200;
 /// Title and key.

@@ -2,10 +2,10 @@
 
 use std::fmt::Write as _;
 
-use super::marks::Marks;
-use crate::bench::mcu::TARGETS;
-use crate::bench::window::CROWDED_EVENTS;
-use crate::bench::{M, Row};
+use eecvs_bench::marks::Marks;
+use eecvs_bench::mcu::TARGETS;
+use eecvs_bench::window::CROWDED_EVENTS;
+use eecvs_bench::{M, Row};
 
 /// Where the README has the host's table.
 pub const MARKS: Marks = Marks {
@@ -138,8 +138,9 @@ fn error(row: &Row) -> String {
 
 #[cfg(test)]
 mod tests {
+    use eecvs_bench::marks::of_project;
+
     use super::*;
-    use crate::report::marks::of_project;
 
     fn row(kernel: &'static str, transform: &'static str, m: u8, max_error: f64) -> Row {
         Row {

@@ -137,8 +137,9 @@ fn densest(sensor: Sensor, size: Sensor, events: &[Event]) -> (u16, u16) {
 
 #[cfg(test)]
 mod tests {
+    use event_types::test_events::event;
+
     use super::*;
-    use crate::metrics::memory_reader::event;
 
     fn sensor(width: u16, height: u16) -> Sensor {
         Sensor::new(width, height).unwrap()

@@ -2,12 +2,11 @@
 
 use std::convert::Infallible;
 
+use event_pictures::picture::{CELL, Colour, Picture};
 use plotters_backend::text_anchor::{HPos, VPos};
 use plotters_backend::{
     BackendColor, BackendCoord, BackendTextStyle, DrawingBackend, DrawingErrorKind, FontTransform,
 };
-
-use super::picture::{CELL, Colour, Picture};
 
 /// Draws on a picture; whatever lies outside is cut off.
 #[derive(Debug)]

@@ -6,14 +6,14 @@
 //! for peers. Arrays that would take the axis to thousands of bits are named at its right end.
 
 use anyhow::{Result, anyhow, ensure};
+use event_pictures::picture::Picture;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::kernel_chart::{Drawn, FRONT, GRID, INK, PNG_SCALE, power, text};
-use super::picture::Picture;
 use super::picture_backend::PictureBackend;
 use super::rate_table::{figure, of_times, of_volume, recordings};
-use crate::bench::rate::Row;
+use crate::rate::Row;
 
 const WIDTH: u32 = 1200;
 /// Title and keys.

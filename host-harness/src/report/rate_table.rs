@@ -3,8 +3,9 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::marks::Marks;
-use crate::bench::rate::Row;
+use eecvs_bench::marks::Marks;
+
+use crate::rate::Row;
 
 /// Where METHODOLOGY.md has its tables.
 pub const MARKS: Marks = Marks {
@@ -364,8 +365,9 @@ fn small(value: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use eecvs_bench::marks::of_project;
+
     use super::*;
-    use crate::report::marks::of_project;
 
     fn row(recording: &str, codec: &'static str, setting: &str, bits: f64, error: f64) -> Row {
         Row {

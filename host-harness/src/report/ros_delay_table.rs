@@ -2,9 +2,8 @@
 
 use std::fmt::Write as _;
 
+use eecvs_bench::marks::Marks;
 use serde::{Deserialize, Serialize};
-
-use super::marks::Marks;
 
 /// Where the README has its table.
 pub const MARKS: Marks = Marks {

@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use eecvs_bench::marks::Marks;
+use eecvs_bench::record_file::{RecordFile, read};
+use eecvs_bench::table::{exact_times, keep_order, rate_control};
 
-use super::marks::Marks;
 use super::study::tables;
 use super::{
-    demo, exact_times_table, hub_load_table, keep_order_table, kernel_table, rate_control_table,
-    rate_table, read_speed_table, ros_delay_table, skip_table,
+    demo, hub_load_table, kernel_table, rate_table, read_speed_table, ros_delay_table, skip_table,
 };
 use crate::cmd::report;
-use crate::record_file::{RecordFile, read};
 use crate::study::Results;
 
 /// A section of a document.
@@ -76,18 +76,18 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
         ),
         section(
             readme,
-            rate_control_table::MARKS,
-            rate_control_table::document(&read(folder, "rate-control")?.rows),
+            rate_control::MARKS,
+            rate_control::document(&read(folder, "rate-control")?.rows),
         ),
         section(
             readme,
-            keep_order_table::MARKS,
-            keep_order_table::document(&read(folder, "keep-order")?.rows),
+            keep_order::MARKS,
+            keep_order::document(&read(folder, "keep-order")?.rows),
         ),
         section(
             readme,
-            exact_times_table::MARKS,
-            whole(exact_times_table::document(&times), "exact-times-*")?,
+            exact_times::MARKS,
+            whole(exact_times::document(&times), "exact-times-*")?,
         ),
         section(
             readme,
@@ -112,10 +112,12 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
 mod tests {
     use std::collections::BTreeSet;
 
+    use eecvs_bench::Row;
+    use eecvs_bench::marks::{of_project, path_of_project};
+    use eecvs_bench::mcu::{self, Count, Part};
+
     use super::*;
-    use crate::bench::mcu::{self, Count, Part};
-    use crate::bench::{Row, rate};
-    use crate::report::marks::{of_project, path_of_project};
+    use crate::rate;
 
     /// Sections of `tests/`, which compares them with their records in `firmware/`.
     const ELSEWHERE: [&str; 2] = ["instructions", "kernels"];

@@ -1,11 +1,11 @@
 //! A chart as SVG text and as a picture, from one drawing.
 
 use anyhow::{Result, anyhow};
+use event_pictures::picture::Picture;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::kernel_chart::{Drawn, PNG_SCALE};
-use super::picture::Picture;
 use super::picture_backend::PictureBackend;
 
 /// What can be drawn on any backend.

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::marks::Marks;
-use crate::bench::skips::Row;
+use eecvs_bench::marks::Marks;
+use eecvs_bench::skips::Row;
 
 /// Where METHODOLOGY.md has its table.
 pub const MARKS: Marks = Marks {
@@ -129,9 +129,10 @@ fn figure(value: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use eecvs_bench::marks::of_project;
+    use eecvs_bench::skips::How;
+
     use super::*;
-    use crate::bench::skips::How;
-    use crate::report::marks::of_project;
 
     /// A row of each kind, transform and recording; more than are shown.
     fn rows() -> Vec<Row> {

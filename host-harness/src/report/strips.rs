@@ -4,12 +4,12 @@
 //! original. Columns that do not fit beside each other go on below.
 
 use eecvs_nostd::{Event, Sensor};
-
-use super::frame_picture::{
+use event_pictures::frame_picture::{
     FrameStyle, FrameSums, INK, LINE, PAPER, draw_legend, event_frame, legend_width,
 };
+use event_pictures::picture::{CELL, Picture};
+
 use super::part::Part;
-use super::picture::{CELL, Picture};
 
 /// Width that a picture keeps below, in pixels: twice that of a page.
 pub const WIDTH_MAX: usize = 1_720;
@@ -117,8 +117,9 @@ fn place(canvas: &mut Picture, (x, y): (usize, usize), caption: &str, panel: &Pi
 
 #[cfg(test)]
 mod tests {
+    use event_types::test_events::event;
+
     use super::*;
-    use crate::metrics::memory_reader::event;
 
     fn sensor(width: u16, height: u16) -> Sensor {
         Sensor::new(width, height).unwrap()

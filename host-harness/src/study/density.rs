@@ -1,10 +1,10 @@
 //! Densities of the windows of a set, and the regimes that they make.
 
+use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::{Density, Regime};
 use serde::{Deserialize, Serialize};
 
 use super::set::Set;
-use crate::source::WINDOW_US;
 
 /// The windows of a source, empty ones included.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

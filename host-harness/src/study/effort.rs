@@ -1,10 +1,10 @@
 //! How much a study measures.
 
+use eecvs::reconstruct::events::Finder;
 use eecvs_nostd::{Coder, Fidelity, Transform};
 
 use super::method::Method;
 use crate::baseline::{Baseline, Stored};
-use crate::reconstruct::events::Finder;
 
 /// M of Table I.
 pub const M: u8 = 16;

@@ -4,10 +4,10 @@
 //! those saved with the project.
 
 use anyhow::{Context, Result};
+use eecvs_bench::{Effort, Origin, cut, mcu};
 use serde::{Deserialize, Serialize};
 
 use super::store::{Row, Store};
-use crate::bench::{self, Effort, Origin, cut, mcu};
 
 /// What the store calls it.
 const TASK: &str = "kernels";
@@ -33,7 +33,7 @@ const NAMES: [&str; 17] = [
     "instructions/event",
 ];
 
-/// A kernel over all windows; the fields are those of [`bench::Row`].
+/// A kernel over all windows; the fields are those of [`eecvs_bench::Row`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KernelRow {
     /// Of the kernel or the peer.
@@ -81,17 +81,17 @@ pub fn add_to(store: &Store, effort: Effort) -> Result<()> {
 /// # Errors
 /// A kernel that is not within its documented error, or saved counts that cannot be read.
 pub fn measure(effort: Effort) -> Result<Vec<KernelRow>> {
-    let windows = bench::windows(&cut::of_scenes()?, effort)?;
+    let windows = eecvs_bench::windows(&cut::of_scenes()?, effort)?;
     let mut counts = mcu::saved()?;
     counts.retain(|count| count.origin == Origin::Emulator.name());
-    let rows = bench::measure(&windows, &counts, effort, &mut || ())?;
-    let mut rows = bench::over_windows(&rows);
+    let rows = eecvs_bench::measure(&windows, &counts, effort, &mut || ())?;
+    let mut rows = eecvs_bench::over_windows(&rows);
     rows.retain(|row| ["host", "cortex-m4"].contains(&row.target) && !row.is_crowded);
     Ok(rows.iter().map(KernelRow::new).collect())
 }
 
 impl KernelRow {
-    fn new(row: &bench::Row) -> Self {
+    fn new(row: &eecvs_bench::Row) -> Self {
         Self {
             kernel: row.kernel.to_owned(),
             transform: row.transform.to_owned(),
@@ -113,14 +113,14 @@ impl KernelRow {
     ///
     /// # Errors
     /// A name that no row of this build has.
-    pub fn of_bench(&self) -> Result<bench::Row> {
+    pub fn of_bench(&self) -> Result<eecvs_bench::Row> {
         let known = |name: &str| {
             let found = NAMES.into_iter().find(|known| *known == name);
             found.with_context(|| {
                 format!("kernels: {name} is unknown; measure anew, without --keep-rows")
             })
         };
-        Ok(bench::Row {
+        Ok(eecvs_bench::Row {
             kernel: known(&self.kernel)?,
             transform: known(&self.transform)?,
             m: self.m,

@@ -1,14 +1,14 @@
 //! The ways that events are encoded and decoded: the codec's and the baselines'.
 
 use anyhow::{Context, Result};
+use eecvs::reconstruct::events::Finder;
+use eecvs_bench::source::Source;
 use eecvs_nostd::{Coder, Event, Fidelity, Hybrid, Mode, Thresholds, Transform};
 
 use super::effort::M;
 use crate::baseline::{self, Baseline, Stored};
-use crate::bench::rate::check::{Promise, check};
-use crate::reconstruct::events::Finder;
+use crate::rate::check::{Promise, check};
 use crate::round_trip::{Encoded, config, decode};
-use crate::source::Source;
 
 /// One of them, with its settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -31,11 +31,11 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Result;
+use eecvs_bench::source::Source;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::downstream::segment::Segmenter;
-use crate::source::Source;
 use density::Densities;
 use effort::Effort;
 use kernels::KernelRow;

@@ -3,13 +3,13 @@
 use std::sync::OnceLock;
 
 use anyhow::Result;
+use eecvs_bench::source::{Source, WINDOW_US};
 use serde::{Deserialize, Serialize};
 
 use super::method::{Method, Trip};
 use super::set::Set;
 use crate::downstream::segment::Segmenter;
 use crate::downstream::{FlowReference, SegmentationReference};
-use crate::source::{Source, WINDOW_US};
 
 /// Length of the frames whose contents depend on decoded times: about a tenth of a window, and no whole
 /// number of the bins of any representation, which would come back whole.

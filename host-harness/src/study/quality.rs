@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use anyhow::Result;
+use eecvs_bench::source::{Memory, Source, WINDOW_US};
 use eecvs_nostd::Event;
+use event_metrics::compare;
 use serde::{Deserialize, Serialize};
 
 use super::method::{Method, Trip};
 use super::set::Set;
-use crate::metrics::compare;
-use crate::source::{Memory, Source, WINDOW_US};
 
 /// A row; the fields are the columns of `quality.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

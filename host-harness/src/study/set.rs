@@ -5,14 +5,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
+use eecvs::calibrate::Calibration;
+use eecvs::thresholds_file::ThresholdsFile;
+use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::Thresholds;
+use event_emulator::PRESETS;
 
 use super::effort::Effort;
-use crate::calibrate::Calibration;
 use crate::recordings::{self, LeftOut};
-use crate::scene::PRESETS;
-use crate::source::{Source, WINDOW_US};
-use crate::thresholds_file::ThresholdsFile;
 
 /// Seed of every scene.
 pub const SEED: u64 = 1;
@@ -108,8 +108,9 @@ fn start(source: Source, events_max: usize) -> Source {
 
 #[cfg(test)]
 mod tests {
+    use event_types::test_events::{SENSOR, event};
+
     use super::*;
-    use crate::metrics::memory_reader::{SENSOR, event};
 
     #[test]
     fn a_start_is_of_whole_windows() {

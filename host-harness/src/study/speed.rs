@@ -9,13 +9,13 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
+use eecvs::encode::{HostStorage, WINDOW_EVENTS};
+use eecvs_bench::moderate::{EVENTS, SENSOR, config, encode, scene, window};
 use eecvs_nostd::{Coder, Config, FRAME_BYTES_MAX, Fidelity, Hybrid, Mode, Scan, Transform, scan};
 use serde::{Deserialize, Serialize};
 
 use super::effort::{Effort, M_SPEED};
 use super::paper::EVENTS_PER_WINDOW;
-use crate::bench::moderate::{EVENTS, SENSOR, config, encode, scene, window};
-use crate::encode::{HostStorage, WINDOW_EVENTS};
 
 const SAVED: &str = include_str!("../../../firmware/instructions.json");
 /// Instructions of a Cortex-M4 in a second, if each took one of its 168 million cycles.

@@ -3,11 +3,11 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use eecvs_nostd::{Coder, Fidelity};
+use event_emulator::Preset;
 
 use super::*;
 use crate::baseline::Baseline;
 use crate::downstream::segment::classical::Classical;
-use crate::scene::Preset;
 use crate::study::claims::{Claim, Verdict};
 use crate::study::effort::M;
 

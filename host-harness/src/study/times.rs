@@ -1,11 +1,11 @@
 //! How far decoded events are from their own times.
 
+use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::Event;
 use serde::{Deserialize, Serialize};
 
 use super::method::{Method, Trip};
 use super::set::Set;
-use crate::source::{Source, WINDOW_US};
 
 /// Upper ends of the bins in us, the first of exact times; beyond the last lies nothing, as a window
 /// ends there.
@@ -83,10 +83,11 @@ pub fn measure(set: &Set, source: &Source, method: Method, trip: &Trip) -> Times
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::metrics::memory_reader::{SENSOR, event};
-    use crate::study::set::SCENES;
     use eecvs_nostd::{Coder, Fidelity, Thresholds};
+    use event_types::test_events::{SENSOR, event};
+
+    use super::*;
+    use crate::study::set::SCENES;
 
     #[test]
     fn events_are_paired_where_as_many_came_back() {

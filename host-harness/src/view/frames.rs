@@ -1,9 +1,9 @@
 //! Slices of one or two streams -> the frames to show, with stretches without events shortened.
 
 use anyhow::Result;
+use event_pictures::frame_picture::FrameSums;
 
 use super::slices::{Grid, Slice, Slices};
-use crate::report::frame_picture::FrameSums;
 
 /// What is shown at once: the same slice of time of every input.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -143,10 +143,10 @@ mod tests {
     use std::sync::Arc;
 
     use eecvs_nostd::Event;
+    use event_files::Ahead;
+    use event_types::test_events::{SENSOR, event, reader};
 
     use super::*;
-    use crate::formats::ahead::Ahead;
-    use crate::metrics::memory_reader::{MemoryReader, SENSOR, event};
     use crate::view::input::Input;
 
     const GRID: Grid = Grid {
@@ -157,7 +157,7 @@ mod tests {
     const HOUR_US: u64 = 3_600_000_000;
 
     fn slices(events: &[Event]) -> Slices {
-        let reader = MemoryReader::new(events, 3);
+        let reader = reader(events, 3);
         let input = Input::Recording(Ahead::new(Box::new(reader), 0));
         Slices::new(input, GRID, SENSOR, Arc::default())
     }

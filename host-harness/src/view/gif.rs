@@ -4,13 +4,13 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use event_files::output::OutputFile;
+use event_pictures::picture::{Colour, Picture};
 use gif::{DisposalMethod, Encoder, EncodingError, Repeat};
 
 use super::Screen;
 use super::frames::Frame;
 use super::picture::{Look, picture};
-use crate::output::OutputFile;
-use crate::report::picture::{Colour, Picture};
 
 /// Browsers show anything faster at a tenth of it.
 pub const FPS_MAX: u32 = 50;
@@ -138,7 +138,7 @@ impl Screen for Gif {
             return Ok(());
         };
         let file = encoder.into_inner().map_err(|error| self.named(error))?;
-        file.finish()
+        Ok(file.finish()?)
     }
 }
 

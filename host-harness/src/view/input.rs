@@ -4,14 +4,12 @@ use std::io::Read;
 use std::path::Path;
 
 use anyhow::Result;
+use eecvs::frame_file::LinkReport;
 use eecvs_nostd::{Event, Sensor};
-
-use crate::content::Content;
-use crate::formats::ahead::Ahead;
-use crate::formats::frames::FrameEvents;
-use crate::formats::piped::name_of;
-use crate::formats::{BATCH_EVENTS, EventReader, Reading};
-use crate::frame_file::LinkReport;
+use event_files::content::Content;
+use event_files::frames::FrameEvents;
+use event_files::input::piped::name_of;
+use event_files::{Ahead, BATCH_EVENTS, EventReader, Reading};
 
 /// Events of a file, whatever it holds.
 pub enum Input {
@@ -68,7 +66,7 @@ impl Input {
     /// A damaged recording, or I/O; everything before has been returned.
     pub fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
         match self {
-            Self::Recording(reader) => reader.read(events),
+            Self::Recording(reader) => Ok(reader.read(events)?),
             Self::Frames(frames) => {
                 let Some(window) = frames.next_window()? else {
                     return Ok(0);

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::report::picture::Colour;
+use event_pictures::picture::Colour;
 
 /// Colours of a terminal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

@@ -1,10 +1,10 @@
 //! A frame -> a picture with captions and the colour scale.
 
 use eecvs_nostd::Sensor;
+use event_pictures::frame_picture::{FrameStyle, event_frame, strip};
+use event_pictures::picture::{CELL, Picture};
 
 use super::frames::Frame;
-use crate::report::frame_picture::{FrameStyle, event_frame, strip};
-use crate::report::picture::{CELL, Picture};
 
 /// Width that the panels of a picture reach together by default, in pixels.
 const LEGIBLE_WIDTH: usize = 480;
@@ -62,10 +62,10 @@ pub fn milliseconds(t_us: u64, origin_us: u64) -> String {
 #[cfg(test)]
 pub(crate) mod tests {
     use eecvs_nostd::Polarity;
+    use event_pictures::frame_picture::FrameSums;
+    use event_types::test_events::event;
 
     use super::*;
-    use crate::metrics::memory_reader::event;
-    use crate::report::frame_picture::FrameSums;
 
     pub(crate) const SENSOR: Sensor = Sensor {
         width: 40,

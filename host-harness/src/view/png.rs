@@ -4,11 +4,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use event_files::output::OutputFile;
 
 use super::Screen;
 use super::frames::Frame;
 use super::picture::{Look, picture};
-use crate::output::OutputFile;
 
 /// Numbered pictures of a folder, in any order.
 pub fn numbered(folder: &Path) -> impl Iterator<Item = (u64, PathBuf)> {

@@ -10,10 +10,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Error, Result};
 use eecvs_nostd::{Event, Sensor};
+use event_metrics::windows::DISORDER_US;
+use event_pictures::frame_picture::FrameSums;
 
 use super::input::Input;
-use crate::metrics::windows::DISORDER_US;
-use crate::report::frame_picture::FrameSums;
 
 /// Memory of the events that wait for their slice to close.
 pub const WAITING_BYTES: usize = 64 << 20;
@@ -277,9 +277,10 @@ impl Open {
 
 #[cfg(test)]
 mod tests {
+    use event_files::Ahead;
+    use event_types::test_events::{SENSOR, event, reader};
+
     use super::*;
-    use crate::formats::ahead::Ahead;
-    use crate::metrics::memory_reader::{MemoryReader, SENSOR, event};
 
     const GRID: Grid = Grid {
         from_us: 1_000,
@@ -288,7 +289,7 @@ mod tests {
     };
 
     fn slices(events: &[Event], batch: usize, grid: Grid) -> Slices {
-        let reader = MemoryReader::new(events, batch);
+        let reader = reader(events, batch);
         let input = Input::Recording(Ahead::new(Box::new(reader), 0));
         Slices::new(input, grid, SENSOR, Arc::default())
     }

@@ -7,14 +7,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use event_pictures::frame_picture::FrameStyle;
+use event_pictures::picture::Colour;
 
 use super::Screen;
 use super::frames::Frame;
 use super::pace::{Pace, Turn};
 use super::palette::Palette;
 use super::picture::milliseconds;
-use crate::report::frame_picture::FrameStyle;
-use crate::report::picture::Colour;
 
 /// Upper half in the foreground's colour, lower half in the background's.
 const HALVES: char = '\u{2580}';
@@ -319,10 +319,10 @@ impl<W: Write> Screen for Text<W> {
 #[cfg(test)]
 mod tests {
     use eecvs_nostd::Sensor;
+    use event_pictures::frame_picture::FrameSums;
+    use event_types::test_events::event;
 
     use super::*;
-    use crate::metrics::memory_reader::event;
-    use crate::report::frame_picture::FrameSums;
 
     const LOOK: Look = Look {
         clip: 4,

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats;
 use serde_json::Value;
 
 /// Commands that write files.
@@ -100,7 +99,7 @@ impl Folder {
 
     /// Events and sensor of a recording.
     pub fn events(&self, name: &str) -> (Sensor, Vec<Event>) {
-        let mut reader = formats::open(&self.path(name), None).expect("a recording");
+        let mut reader = event_files::open(&self.path(name), None).expect("a recording");
         let mut events = Vec::new();
         while reader.read(&mut events).expect("a whole recording") > 0 {}
         (reader.sensor(), events)

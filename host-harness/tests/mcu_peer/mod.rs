@@ -6,13 +6,13 @@ use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::PathBuf;
 use std::thread;
 
+use eecvs::encode::HostStorage;
 use eecvs_nostd::coder::dense;
 use eecvs_nostd::event_link::{
     FIELDS_BYTES_MAX, HotNumbers, Kind, PACKET_BYTES_MAX, Packet, Receiver, Refusal, Setup, Status,
 };
 use eecvs_nostd::evt2::{Evt2Decoder, Word};
 use eecvs_nostd::{Encoder, Push};
-use host_harness::encode::HostStorage;
 
 /// What goes wrong, at most.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

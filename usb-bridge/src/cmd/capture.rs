@@ -7,18 +7,17 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use host_harness::cmd::encode::{CodecOptions, LimitOptions};
-use host_harness::cmd::output::{Place, is_closed_pipe};
-use host_harness::encode::{Codec, EncodeSummary, REORDER_LIVE_US};
-use host_harness::formats::EventReader;
-use host_harness::output::{Output, is_stdout, keep_or_mark};
+use eecvs::encode::{Codec, EncodeSummary, REORDER_LIVE_US};
+use eecvs_cli::codec::{CodecOptions, LimitOptions};
+use eecvs_cli::output::{Place, is_closed_pipe, keep_or_mark};
+use event_files::EventReader;
+use event_files::output::{Output, is_stdout};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use serde::Serialize;
 
 use super::options::{
     DeviceOptions, StreamOptions, order_rows, refuse_late, warn_of_losses, warn_of_runs,
 };
-
 use crate::record::{self, Kept, Kind, Order};
 use crate::session::{Report, Session};
 use crate::stop::Stop;

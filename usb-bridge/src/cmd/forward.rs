@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use anyhow::{Result, bail, ensure};
 use clap::{Args, ValueEnum};
+use eecvs::encode::{Codec, EncodeSummary};
+use eecvs_cli::codec::{CodecOptions, LimitOptions};
+use eecvs_cli::output::{Place, rows};
 use eecvs_nostd::Event;
-use host_harness::cmd::encode::{CodecOptions, LimitOptions};
-use host_harness::cmd::output::{Place, rows};
-use host_harness::encode::{Codec, EncodeSummary};
-use host_harness::formats::EventReader;
-use host_harness::output::{self, Kind, is_stdout};
+use event_files::EventReader;
+use event_files::output::{self, Kind, is_stdout};
 use serde::Serialize;
 
 use super::options::{

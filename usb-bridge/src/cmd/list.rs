@@ -1,7 +1,7 @@
 //! `eecvs-usb list`.
 
 use anyhow::Result;
-use host_harness::cmd::output::{print, print_json};
+use eecvs_cli::output::{print, print_json};
 use serde::Serialize;
 
 use crate::link::LinkError;

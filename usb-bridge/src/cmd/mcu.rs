@@ -2,9 +2,9 @@
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
-use host_harness::cmd::job::{self, Account, JobOptions};
-use host_harness::cmd::output::rows;
-use host_harness::mcu::{Outcome, PATIENCE};
+use eecvs_cli::job::{self, Account, JobOptions};
+use eecvs_cli::output::rows;
+use mcu_link::{Outcome, PATIENCE};
 use serde::Serialize;
 
 use super::options::PlaceOptions;
@@ -110,8 +110,9 @@ fn table(report: &Report, outcome: &Outcome) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use eecvs_nostd::event_link::Status;
+
+    use super::*;
 
     #[test]
     fn json_has_every_row_of_the_table() {

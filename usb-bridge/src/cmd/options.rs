@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use clap::Args;
+use eecvs_cli::codec::CodecOptions;
+use eecvs_cli::order::OrderOptions;
+use eecvs_cli::output::rows;
 use eecvs_nostd::Sensor;
-use host_harness::cmd::encode::CodecOptions;
-use host_harness::cmd::order::OrderOptions;
-use host_harness::cmd::output::rows;
-use host_harness::output;
+use event_files::output;
 
 use super::warn;
 use crate::encoder::{Encoder, Wish};

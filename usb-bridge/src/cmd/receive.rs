@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use host_harness::cmd::output::{Place, rows};
-use host_harness::output::{Output, keep_or_mark};
+use eecvs_cli::output::{Place, keep_or_mark, rows};
+use event_files::output::Output;
 
 use super::options::StreamOptions;
 use super::warn;

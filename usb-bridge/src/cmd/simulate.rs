@@ -7,11 +7,10 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use eecvs_cli::options::ReadingOptions;
+use eecvs_cli::output::{print, print_json, rows};
+use eecvs_cli::progress::Progress;
 use eecvs_nostd::Sensor;
-use host_harness::cmd::options::ReadingOptions;
-use host_harness::cmd::output::{print, print_json, rows};
-use host_harness::formats;
-use host_harness::progress::Progress;
 use serde::Serialize;
 
 use crate::device::{Due, MODELS, Model, Stream, find};
@@ -97,7 +96,7 @@ impl Simulate {
     /// A recording that cannot be read, or does not fit the model; an address that cannot be had.
     pub fn run(self) -> Result<()> {
         let model = find(self.model).context("no such model")?;
-        let sensor = formats::open(&self.file, self.reading.reading())?.sensor();
+        let sensor = event_files::open(&self.file, self.reading.reading())?.sensor();
         let stop = Stop::on_signals()?;
         let source = Source {
             command: &self,
@@ -165,7 +164,7 @@ impl Source<'_> {
         })?;
         let file = self.command.file.clone();
         let reading = self.command.reading.reading();
-        let open = Box::new(move || formats::open(&file, &reading));
+        let open = Box::new(move || Ok(event_files::open(&file, &reading)?));
         let command = self.command;
         Ok(Recording::new(open, writer, command.rate, command.start_us).repeat(command.repeat))
     }

@@ -16,7 +16,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use eecvs_nostd::{Event, Sensor};
-use host_harness::formats::Skipped;
+use event_files::Skipped;
 
 use crate::link::control::Control;
 use crate::peripheral::Peripheral;

@@ -7,7 +7,7 @@ use std::thread::{self, Builder};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow};
-use host_harness::output::Output;
+use event_files::output::Output;
 use serde::Serialize;
 
 use super::address::Address;

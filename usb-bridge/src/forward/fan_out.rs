@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
+use eecvs_cli::output::io_causes;
 use eecvs_nostd::Frame;
 use thiserror::Error;
 
@@ -25,9 +26,8 @@ impl NobodyLeft {
     /// Whether that is the cause of an error.
     #[must_use]
     pub fn is_cause_of(error: &anyhow::Error) -> bool {
-        error.chain().any(|cause| {
-            let io = cause.downcast_ref::<io::Error>();
-            let inner = io.and_then(io::Error::get_ref);
+        io_causes(error).any(|io| {
+            let inner = io.get_ref();
             inner.and_then(|inner| inner.downcast_ref()) == Some(&Self)
         })
     }

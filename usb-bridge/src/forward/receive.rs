@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use eecvs_nostd::{Event, Order, Sensor, Sequence};
-use host_harness::formats::{self, EventWriter};
+use event_files::EventWriter;
 use serde::Serialize;
 
 use super::demux::{Demux, Message};
@@ -345,9 +345,9 @@ impl Receiver<'_> {
         parser.parse(bytes, &mut self.events);
         let writer = match writer {
             Some(writer) => writer,
-            None => writer.insert(formats::create_in_place(self.path, *sensor)?),
+            None => writer.insert(event_files::create_in_place(self.path, *sensor)?),
         };
-        writer.write(&self.events)
+        Ok(writer.write(&self.events)?)
     }
 
     /// Is done with the parser, and keeps what it has found.
@@ -365,7 +365,7 @@ impl Receiver<'_> {
             Output::Frames(mut file) => file
                 .flush()
                 .with_context(|| format!("{}: cannot be written", self.path.display())),
-            Output::Events(Some(writer)) => writer.finish(),
+            Output::Events(Some(writer)) => Ok(writer.finish()?),
             Output::Events(None) => Ok(()),
         }
     }

@@ -6,7 +6,7 @@ use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use host_harness::output::create_bytes;
+use event_files::output::create_bytes;
 
 use super::address::Address;
 use super::datagram::Cutter;

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use eecvs_nostd::Event;
-use host_harness::formats::{BATCH_EVENTS, EventReader};
+use event_files::{BATCH_EVENTS, EventReader};
 
 use crate::device::{Due, Stream, WriteStream};
 
@@ -334,7 +334,7 @@ impl Stream for Recording {
 #[cfg(test)]
 mod tests {
     use eecvs_nostd::{Polarity, Sensor};
-    use host_harness::formats::Skipped;
+    use event_files::Skipped;
     use proptest::prelude::*;
 
     use super::*;
@@ -351,7 +351,7 @@ mod tests {
         fn sensor(&self) -> Sensor {
             Sensor::new(4, 4).expect("a sensor")
         }
-        fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
             let length = self.times.len().min(3);
             events.extend(self.times.drain(..length).map(|t_us| Event {
                 t_us,

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use eecvs::decode::WindowReader;
+use eecvs::frame_file::FrameReader;
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::decode::WindowReader;
-use host_harness::formats::{self, EventWriter};
-use host_harness::frame_file::FrameReader;
+use event_files::EventWriter;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
@@ -45,7 +45,7 @@ impl Folder {
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.raw");
-        let mut writer: Box<dyn EventWriter> = formats::create(&path, SENSOR).unwrap();
+        let mut writer: Box<dyn EventWriter> = event_files::create(&path, SENSOR).unwrap();
         writer.write(&events()).unwrap();
         writer.finish().unwrap();
         Self(folder)
@@ -90,12 +90,12 @@ pub fn read(path: &Path) -> Vec<Event> {
         .extension()
         .is_some_and(|extension| extension == "eecvs")
     {
-        let mut windows = WindowReader::new(FrameReader::open(path).unwrap());
+        let mut windows = WindowReader::new(FrameReader::new(std::fs::File::open(path).unwrap()));
         while let Some(window) = windows.next_window().unwrap() {
             events.extend(window.events);
         }
     } else {
-        let mut reader = formats::open(path, None).unwrap();
+        let mut reader = event_files::open(path, None).unwrap();
         while reader.read(&mut events).unwrap() > 0 {}
     }
     sorted(events)

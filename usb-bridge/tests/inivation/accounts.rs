@@ -99,7 +99,7 @@ fn words_are_named() {
     let mut parser = DavisParser::begin(sensor(240, 180), false);
     let mut events = Vec::new();
     parser.parse(&bytes, &mut events);
-    let counts = |skipped: &host_harness::formats::Skipped| skipped.iter().collect::<Vec<_>>();
+    let counts = |skipped: &event_files::Skipped| skipped.iter().collect::<Vec<_>>();
     assert_eq!(events.len(), 2);
     assert_eq!(
         counts(&parser.words()),

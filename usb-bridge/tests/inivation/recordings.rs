@@ -6,7 +6,6 @@
 use std::path::Path;
 
 use eecvs_nostd::{Event, Sensor};
-use host_harness::formats;
 
 use crate::scene::{model, parser, sorted_frames};
 
@@ -30,7 +29,7 @@ fn read(path: &Path) -> Option<(Sensor, Vec<Event>)> {
         eprintln!("skipped: {} is absent", path.display());
         return None;
     }
-    let mut reader = formats::open(path, None).expect("a recording");
+    let mut reader = event_files::open(path, None).expect("a recording");
     let mut events = Vec::new();
     while reader.read(&mut events).expect("a recording") > 0 {}
     let first = events.first().map_or(0, |event| event.t_us);

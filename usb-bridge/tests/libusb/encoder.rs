@@ -1,10 +1,9 @@
 //! `eecvs-usb mcu` over the real libusb, against the microcontroller's own class and encoder, which
 //! libumockdev mocks.
 
+use eecvs::decode::WindowReader;
+use eecvs::frame_file::FrameReader;
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::decode::WindowReader;
-use host_harness::formats;
-use host_harness::frame_file::FrameReader;
 
 use crate::application;
 use crate::umockdev::Mocked;
@@ -16,7 +15,7 @@ fn a_recording_returns_and_a_refusal_is_one_line() {
     };
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let mut writer = formats::create(&path("scene.csv"), Sensor::new(70, 40).unwrap()).unwrap();
+    let mut writer = event_files::create(&path("scene.csv"), Sensor::new(70, 40).unwrap()).unwrap();
     writer.write(&events()).unwrap();
     writer.finish().unwrap();
     for coder in ["fast", "dense"] {
@@ -35,7 +34,9 @@ fn a_recording_returns_and_a_refusal_is_one_line() {
             (&said["frames_different"], &said["events_lost"]),
             (&0.into(), &0.into())
         );
-        let mut windows = WindowReader::new(FrameReader::open(&path("out.eecvs")).unwrap());
+        let mut windows = WindowReader::new(FrameReader::new(
+            std::fs::File::open(path("out.eecvs")).unwrap(),
+        ));
         let mut found = Vec::new();
         while let Some(window) = windows.next_window().unwrap() {
             found.extend(window.events);

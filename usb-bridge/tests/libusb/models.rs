@@ -7,7 +7,6 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde_json::Value;
@@ -233,11 +232,11 @@ fn capture_has_every_event_of_every_recording() {
             let Recording { name, sensor, path } = recording;
             let writer = model.writer(sensor).unwrap();
             let mut events = Vec::new();
-            let mut reader = formats::open(&path, Some(sensor)).unwrap();
+            let mut reader = event_files::open(&path, Some(sensor)).unwrap();
             while reader.read(&mut events).unwrap() > 0 {}
             let start_us = cross_2_31_us(&mut events);
             // As `eecvs-usb simulate --rate max --start-us` sends it.
-            let open = Box::new(move || formats::open(&path, Some(sensor)));
+            let open = Box::new(move || Ok(event_files::open(&path, Some(sensor))?));
             let played = Played::new(open, writer, Pace::Max, Some(start_us));
             let camera = model.camera(sensor, Box::new(played)).unwrap();
             let started = Instant::now();
@@ -263,7 +262,7 @@ fn captured(camera: Box<dyn Peripheral>, events: usize) -> Option<(Vec<Event>, V
     assert!(output.status.success(), "{output:?}");
     let said: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(said["losses"], serde_json::json!({}), "{said}");
-    let mut reader = formats::open(&path, None).unwrap();
+    let mut reader = event_files::open(&path, None).unwrap();
     let mut got = Vec::new();
     while reader.read(&mut got).unwrap() > 0 {}
     Some((got, said))

@@ -6,15 +6,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use anyhow::Result;
 use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Polarity, Quantiser, Sensor,
     Thresholds, WindowConfig,
 };
 use eecvs_usb_class::{FROM_HOST, TO_HOST};
-use host_harness::formats::{EventReader, Skipped};
-use host_harness::mcu::connection::{Connection, Halves};
-use host_harness::mcu::{self, Job};
+use event_files::{EventReader, Skipped};
+use mcu_link::Job;
+use mcu_link::connection::{Connection, Halves};
 use usb_bridge::peripheral::class_bus::ClassBus;
 use usb_bridge::peripheral::{Bulk, Peripheral};
 
@@ -76,7 +75,7 @@ impl Write for Function {
     }
 }
 
-impl mcu::Link for Function {
+impl mcu_link::Link for Function {
     fn halves(&self) -> io::Result<Halves> {
         Ok(Halves {
             reader: Box::new(self.clone()),
@@ -132,7 +131,7 @@ impl EventReader for Recording {
         SENSOR
     }
 
-    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
         let before = events.len();
         events.extend(self.events.by_ref().take(1000));
         Ok(events.len() - before)
@@ -184,7 +183,7 @@ fn frames_over_either_function_are_the_hosts() {
             from_host,
         };
         let mut connection = Connection::new(&function, Duration::from_secs(10)).unwrap();
-        let outcome = mcu::run(&mut connection, &job, &|_| ()).unwrap();
+        let outcome = mcu_link::run(&mut connection, &job, &|_| ()).unwrap();
         outcome.verdict().unwrap();
         assert_eq!(outcome.events_encoded, 20_000, "{mode:?}");
         assert!(outcome.frames_identical > 20);

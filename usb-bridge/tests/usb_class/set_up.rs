@@ -13,7 +13,7 @@ use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Hybrid, Mode, Polarity, Sensor, Thresholds, Transform,
     WindowConfig,
 };
-use host_harness::mcu::{self, Job, Outcome};
+use mcu_link::{Job, Outcome};
 use serialport::{SerialPort, TTYPort};
 use usb_bridge::device::mcu::parse::McuParser;
 use usb_bridge::device::mcu::{ANY_SENSOR, MCU};
@@ -61,7 +61,7 @@ fn run(encoder: &Encoder, config: Config, progress: &(dyn Fn(u64) + Sync)) -> Re
         drop_when_full: false,
     };
     let mut connection = encoder.connect(Duration::from_secs(10))?;
-    mcu::run(&mut connection, &job, progress)
+    mcu_link::run(&mut connection, &job, progress)
 }
 
 fn sorted(mut events: Vec<Event>) -> Vec<Event> {

@@ -9,7 +9,7 @@
 
 use crate::coder::range::{Binary, Probability};
 use crate::coder::scan::Axis;
-use crate::event::Sensor;
+use event_types::Sensor;
 
 /// Bytes that an event's place takes at the most, the bit that comes before the first one's included.
 pub const PLACE_BYTES_MAX: usize = 8;

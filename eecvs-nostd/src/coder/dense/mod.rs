@@ -25,9 +25,9 @@ use crate::coder::dense::model::Model;
 use crate::coder::dense::neighbourhood::Around;
 pub(crate) use crate::coder::dense::times::EVENT_BYTES_MAX;
 use crate::coder::dense::times::{Clock, CodedPixel, Following, LearnedTimes, Neighbour};
-use crate::event::Sensor;
 #[cfg(eecvs_dsp)]
 use core::cell::Cell;
+use event_types::Sensor;
 
 /// Rows of bits that are kept: all with those of the window before, and without them this one, two
 /// above, and one more, so that a row's place is cheap to find.

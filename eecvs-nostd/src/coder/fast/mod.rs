@@ -10,11 +10,11 @@ mod read;
 pub(crate) mod walk;
 
 use crate::coder::bits_msb_first::{BigWriter, CODE_BITS, Code};
-use crate::event::Sensor;
 use crate::pack::bits_lsb_first::Ended;
 #[cfg(not(target_pointer_width = "64"))]
 use crate::window::FIRST;
 use crate::window::SEGMENT_PIXELS;
+use event_types::Sensor;
 
 /// Words of room without which no pixel is begun, and no further event of it: up to 48 bits of gap,
 /// 34 of the first event, then 67 of a distance and what follows it, twice; and 31 that were there

@@ -248,7 +248,7 @@ impl Shape {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::Sensor;
+    use event_types::Sensor;
     use proptest::prelude::*;
     use std::vec::Vec;
 

@@ -543,10 +543,10 @@ fn is_low(kept: &Kept, grid: usize, r: u32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::Sensor;
     use crate::quantise::Level;
     use crate::quantise::Quantiser;
     use crate::transform::shape::PIXEL_BYTES_MAX;
+    use event_types::Sensor;
     use heapless::Vec;
 
     fn packing(transform: Transform, m: u8, grid: u16, step_log2: i8) -> Packing {

@@ -8,8 +8,8 @@ use core::arch::naked_asm;
 use core::mem::offset_of;
 
 use super::Intake;
-use crate::evt2::{KIND_SHIFT, LOW_BITS, LOW_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, X_SHIFT};
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_HEAD, SLOTS_MAX, Slot};
+use event_types::evt2::{KIND_SHIFT, LOW_BITS, LOW_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, X_SHIFT};
 
 /// x where it is in a word, and the bits that an event has not.
 const X_MASK: u32 = NO_EVENT | (SIDE_MASK << X_SHIFT);

@@ -3,10 +3,12 @@
 //!
 //! Everything is in locals: what is behind a reference would be loaded again after every store.
 
-use crate::evt2::{KIND_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, X_SHIFT, low_us, time_step_us};
 use crate::machine::HAS_LONG_PRODUCT;
 use crate::window::take_words::Intake;
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, Slot, index};
+use event_types::evt2::{
+    KIND_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, X_SHIFT, low_us, time_step_us,
+};
 
 /// Events in a row.
 const ROW: usize = 16;

@@ -1,8 +1,8 @@
 //! On a host.
 
 use super::Intake;
-use crate::evt2::{KIND_SHIFT, NO_EVENT, SIDE_MASK, X_SHIFT, low_us, time_step_us};
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, Slot, index};
+use event_types::evt2::{KIND_SHIFT, NO_EVENT, SIDE_MASK, X_SHIFT, low_us, time_step_us};
 
 pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
     let mut rest = words;

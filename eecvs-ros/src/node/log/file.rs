@@ -4,7 +4,7 @@ use std::fs::File;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
-use host_harness::output::remove_partial;
+use event_files::output::remove_partial;
 
 use super::csv::CsvFile;
 use super::mcap::McapFile;

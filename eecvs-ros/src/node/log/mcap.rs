@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::BufWriter;
 
 use anyhow::{Context as _, Result};
-use host_harness::formats::parquet::table::Kind;
+use event_files::parquet::table::Kind;
 use mcap::records::MessageHeader;
 use mcap::{Compression, WriteOptions};
 use serde_json::{Map, Value, json};

@@ -9,7 +9,7 @@ mod window;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use host_harness::decode::FrameCounts;
+use eecvs::decode::FrameCounts;
 
 use super::frame_reader::{Account, FrameReader};
 use super::{Context, QosOptions};

@@ -4,7 +4,7 @@
 use std::fs::File;
 
 use anyhow::Result;
-use host_harness::formats::parquet::table::{self, Cells, GROUP_ROWS, Kind, Values};
+use event_files::parquet::table::{self, Cells, GROUP_ROWS, Kind, Values};
 
 use super::file::TableFile;
 use super::table::{Cell, Rows, Table};
@@ -129,6 +129,6 @@ impl TableFile for ParquetFile {
 
     fn finish(mut self: Box<Self>) -> Result<()> {
         self.write_group()?;
-        self.table.finish(&[])
+        Ok(self.table.finish(&[])?)
     }
 }

@@ -1,8 +1,8 @@
 //! The two tables: their columns, and what a row of them is.
 
 use anyhow::Result;
-use host_harness::formats::parquet::table::Kind;
-use host_harness::reconstruct::DecodedWindow;
+use eecvs::reconstruct::DecodedWindow;
+use event_files::parquet::table::Kind;
 use serde::{Serialize, Serializer};
 
 use super::window::Window;

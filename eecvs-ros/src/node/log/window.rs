@@ -1,7 +1,7 @@
 //! A window whose frames come, and what they tell of it.
 
+use eecvs::reconstruct::{DecodedWindow, same_window};
 use eecvs_nostd::{Density, Fidelity, Header, Mode};
-use host_harness::reconstruct::{DecodedWindow, same_window};
 
 use crate::message::{Frame, Time};
 use crate::operator::{Eecvs, Operator as _};

@@ -26,12 +26,12 @@ mod search;
 
 use std::collections::BTreeMap;
 
+use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::Event;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::slices::Slices;
-use crate::source::{Source, WINDOW_US};
 use contrast::Point;
 use search::Search;
 

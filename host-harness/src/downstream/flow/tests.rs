@@ -1,10 +1,10 @@
 use std::sync::LazyLock;
 
 use eecvs_nostd::Sensor;
+use event_emulator::Preset;
 
 use super::*;
 use crate::downstream::test_events::{jittered, shuffled};
-use crate::scene::Preset;
 
 /// A scene and its flow.
 static SCENE: LazyLock<(Source, FlowReference)> = LazyLock::new(|| {

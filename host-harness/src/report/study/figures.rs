@@ -1,7 +1,10 @@
 //! The pictures of a study: charts of its rows, and strips of its sources.
 
 use anyhow::Result;
+use eecvs::reconstruct::events::Finder;
+use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::{Coder, Event, Fidelity, Transform};
+use event_pictures::picture::Picture;
 
 use super::colours::label;
 use super::panels::Whole;
@@ -9,21 +12,17 @@ use super::rate_distortion::RateDistortion;
 use super::section::Section;
 use super::time_errors::TimeErrors;
 use crate::baseline::{Baseline, Stored};
-use crate::reconstruct::events::Finder;
 use crate::report::chart::{self, DensityPoint, Thresholds};
 use crate::report::kernel_chart;
-use crate::report::picture::Picture;
 use crate::report::sheet::Sheet;
 use crate::report::strips::{Strips, strips};
-use crate::source::{Source, WINDOW_US};
-use crate::study::Results;
 use crate::study::density::Densities;
 use crate::study::effort::M;
 use crate::study::kernels::KernelRow;
 use crate::study::method::Method;
 use crate::study::perception::SLICE_US;
-use crate::study::quality;
 use crate::study::set::Set;
+use crate::study::{Results, quality};
 
 /// A picture on the page, and beside it.
 #[derive(Debug, Clone)]

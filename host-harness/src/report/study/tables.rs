@@ -6,14 +6,13 @@ use eecvs_nostd::Transform;
 use super::colours::{REPRESENTATIONS, label};
 use super::table::Table;
 use crate::recordings;
-use crate::study::Results;
 use crate::study::claims::{family, figure, median};
 use crate::study::effort::M;
-use crate::study::paper;
 use crate::study::perception::Perception;
 use crate::study::quality::Quality;
 use crate::study::set::{RECORDINGS, SCENES};
 use crate::study::speed::HOST;
+use crate::study::{Results, paper};
 
 /// Columns of Table I: what a reader calls the method, as rows have it.
 const TABLE_ONE: [&str; 9] = [
@@ -541,9 +540,10 @@ pub fn document(results: &Results) -> String {
 mod tests {
     use std::path::Path;
 
+    use eecvs_bench::marks::of_project;
+
     use super::*;
     use crate::cmd::report::MARKS;
-    use crate::report::marks::of_project;
 
     #[test]
     fn settings_stand_in_the_order_of_their_numbers() {

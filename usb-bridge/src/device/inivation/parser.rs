@@ -1,7 +1,7 @@
 //! A stream of words, cut anywhere: whole words to the model's reader, the rest kept.
 
 use eecvs_nostd::{Event, Sensor};
-use host_harness::formats::Skipped;
+use event_files::Skipped;
 
 use super::clock::{Clock, Settled};
 use super::strikes::Strikes;

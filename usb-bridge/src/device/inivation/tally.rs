@@ -1,6 +1,6 @@
 //! Counts of words that are no events, and of what was lost.
 
-use host_harness::formats::Skipped;
+use event_files::Skipped;
 
 macro_rules! counts {
     ($($(#[$doc:meta])* $kind:ident = $name:literal, $of:ident;)*) => {

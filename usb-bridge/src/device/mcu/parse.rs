@@ -5,16 +5,16 @@
 //! takes only its own events with it, but with the dense coder also those of the frames up to the
 //! next key frame. A frame holds more events than its bytes would suggest, but never more than [`WINDOW_EVENTS`].
 
+use eecvs::decode::Windows;
+use eecvs::encode::WINDOW_EVENTS;
+use eecvs::frame_file::{FrameOrder, LinkReport};
+use eecvs::reconstruct::DecodedWindow;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs::reconstruct::hybrid::Refused;
+use eecvs::reconstruct::order::ByTime;
 use eecvs_nostd::event_link::Kind;
 use eecvs_nostd::{Event, Sensor};
-use host_harness::decode::Windows;
-use host_harness::encode::WINDOW_EVENTS;
-use host_harness::formats::Skipped;
-use host_harness::frame_file::{FrameOrder, LinkReport};
-use host_harness::reconstruct::DecodedWindow;
-use host_harness::reconstruct::events::{EventDecoder, Finder};
-use host_harness::reconstruct::hybrid::Refused;
-use host_harness::reconstruct::order::ByTime;
+use event_files::Skipped;
 
 use super::messages::{FRAME_BYTES_MAX, Message, Messages};
 use crate::device::Parse;

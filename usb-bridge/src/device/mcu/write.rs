@@ -7,11 +7,11 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
 use anyhow::{Context, Result, bail, ensure};
+use eecvs::encode::HostStorage;
 use eecvs_nostd::{
     Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Push, Quantiser,
     Sensor, Thresholds, WindowConfig,
 };
-use host_harness::encode::HostStorage;
 
 use crate::device::WriteStream;
 

@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use host_harness::formats::evt21_word::Order;
+use event_files::evt::evt21_word::Order;
 
 use super::registers::{CHIP, FORMAT, FORMAT_EVT21, PIXELS_GO, READOUT, TIME_BASE};
 use super::sensor::{Chip, STREAMER};

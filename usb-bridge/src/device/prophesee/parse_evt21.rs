@@ -1,11 +1,11 @@
-//! EVT 2.1 as it comes from a camera, in the words of [`host_harness::formats::evt21_word`].
+//! EVT 2.1 as it comes from a camera, in the words of [`event_files::evt::evt21_word`].
 //!
 //! The wraps of time, every 4.8 hours, are those of `high_time.rs`. After a break events come again with the
 //! next `EVT_TIME_HIGH`.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats::Skipped;
-use host_harness::formats::evt21_word::{
+use event_files::Skipped;
+use event_files::evt::evt21_word::{
     HIGH_BITS, LOW_BITS, Order, SIDE, TIME_HIGH, TIME_SHIFT, TYPE_SHIFT, X_SHIFT, Y_SHIFT,
     time_high,
 };

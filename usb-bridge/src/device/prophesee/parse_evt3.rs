@@ -1,6 +1,6 @@
 //! EVT 3.0 as it comes from a camera: words of 16 bits, little-endian, the type in the upper four.
 //!
-//! `host_harness::formats::evt3` has the layout. A file's reader stops at a word outside of the
+//! `event_files::evt3` has the layout. A file's reader stops at a word outside of the
 //! sensor; a camera's counts it and goes on. Time is that of the file's reader but for its wraps,
 //! which `high_time.rs` carries, so that no damaged word moves them. After a break events come
 //! again once `TIME_HIGH`, `TIME_LOW` and `ADDR_Y` have.
@@ -12,8 +12,8 @@
 use std::hint::select_unpredictable as pick;
 
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats::Skipped;
-use host_harness::formats::evt3::{
+use event_files::Skipped;
+use event_files::evt::evt3::{
     ADDR_X, ADDR_Y, TIME_BITS, TIME_HIGH, TIME_LOW, VECT_8, VECT_12, VECT_BASE_X,
 };
 

@@ -9,7 +9,7 @@
 
 use anyhow::{Context, Result};
 use eecvs_nostd::{Event, Polarity, Sensor};
-use host_harness::formats::evt3::{
+use event_files::evt::evt3::{
     ADDR_X, ADDR_Y, TIME_BITS, TIME_HIGH, TIME_LOW, VECT_8, VECT_12, VECT_BASE_X,
 };
 

@@ -24,9 +24,9 @@ use crate::coder::dense::model::Model;
 use crate::coder::dense::times::{Clock, EVENT_BYTES_MAX, FIRST_BITS, Following, LearnedTimes};
 use crate::coder::dense::{Begun, Made, row_of, rows};
 use crate::coder::range::{FINISH_BYTES, PLAIN_BITS, Probability, RangeParts};
-use crate::event::Sensor;
 use crate::group::Pixel;
 use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS};
+use event_types::Sensor;
 
 /// How far rows were coded.
 pub struct Walked {

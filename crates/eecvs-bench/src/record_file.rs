@@ -1,0 +1,134 @@
+//! Records: measured rows as JSON files that are committed, of which the documents' tables are made.
+//!
+//! A file is one object, a row a line, so that a change of it can be read:
+//!
+//! ```text
+//! {"version":"0.1.0","machine":"...","date":"2026-11-22","rows":[
+//! {...},
+//! {...}
+//! ]}
+//! ```
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use anyhow::{Context, Result};
+use event_files::output;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use crate::machine::{SEED, date, machine};
+
+/// Rows, and of what program, scenes, machine and day they are.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct RecordFile<R> {
+    /// Of the program.
+    pub version: String,
+    /// Of emulated scenes, where the rows may be of such.
+    pub seed: Option<u64>,
+    /// Processor, its threads and system: what times of a clock depend on.
+    pub machine: String,
+    /// UTC.
+    pub date: String,
+    /// In the order in which they were measured.
+    pub rows: Vec<R>,
+}
+
+/// Where the record of that name is in a folder of records.
+#[must_use]
+pub fn path(folder: &Path, name: &str) -> PathBuf {
+    folder.join(format!("{name}.json"))
+}
+
+/// Writes rows that were measured now as the record of that name; the folder is made where there is none.
+///
+/// # Errors
+/// A folder or file that cannot be written; the message names it.
+pub fn write<R: Serialize>(folder: &Path, name: &str, rows: &[R]) -> Result<()> {
+    fs::create_dir_all(folder)
+        .with_context(|| format!("{}: cannot create the folder", folder.display()))?;
+    let path = path(folder, name);
+    Ok(output::write(&path, text(rows)?)?)
+}
+
+/// Reads a record.
+///
+/// # Errors
+/// A file that cannot be read or is no record of such rows; the message names it.
+pub fn read<R: DeserializeOwned>(folder: &Path, name: &str) -> Result<RecordFile<R>> {
+    let path = path(folder, name);
+    let text =
+        fs::read_to_string(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
+    serde_json::from_str(&text)
+        .with_context(|| format!("{}: is no record of these rows", path.display()))
+}
+
+fn text<R: Serialize>(rows: &[R]) -> Result<String> {
+    let head = serde_json::json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "seed": SEED,
+        "machine": machine(),
+        "date": date(),
+    })
+    .to_string();
+    let rows: Vec<String> = rows
+        .iter()
+        .map(serde_json::to_string)
+        .collect::<Result<_, _>>()?;
+    // The object is left open for its rows.
+    let head = head.trim_end_matches('}');
+    Ok(format!("{head},\"rows\":[\n{}\n]}}\n", rows.join(",\n")))
+}
+
+/// A name that the program knows: of a kernel, a codec, a transform.
+pub type Name = &'static str;
+
+/// Reads a [`Name`]. Every name is kept once, as long as the program runs: there are few.
+///
+/// # Errors
+/// What is no string.
+pub fn name<'de, D: Deserializer<'de>>(input: D) -> Result<Name, D::Error> {
+    static KNOWN: Mutex<BTreeSet<Name>> = Mutex::new(BTreeSet::new());
+    let text = String::deserialize(input)?;
+    let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(name) = known.get(text.as_str()) {
+        return Ok(name);
+    }
+    let name: Name = text.leak();
+    known.insert(name);
+    Ok(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    struct Row {
+        #[serde(deserialize_with = "name")]
+        name: Name,
+        value: Option<f64>,
+    }
+
+    #[test]
+    fn rows_come_back_and_a_foreign_file_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().join("new");
+        let row = |name, value| Row { name, value };
+        for rows in [
+            vec![],
+            vec![row("a", Some(0.1)), row("b", None), row("a", None)],
+        ] {
+            write(&folder, "some", &rows).unwrap();
+            let record: RecordFile<Row> = read(&folder, "some").unwrap();
+            assert_eq!(record.rows, rows);
+            assert_eq!(record.version, env!("CARGO_PKG_VERSION"));
+        }
+        let said = |name| format!("{:#}", read::<Row>(&folder, name).unwrap_err());
+        assert!(said("none").contains("none.json: cannot be read"));
+        fs::write(path(&folder, "other"), "{\"rows\":3}").unwrap();
+        assert!(said("other").contains("other.json: is no record"));
+    }
+}

@@ -1,0 +1,258 @@
+//! Time of the whole encoder over the sensor's area, and over the number of events.
+
+use std::io::sink;
+use std::num::NonZeroUsize;
+
+use anyhow::{Result, ensure};
+use eecvs::encode::{Limits, encode};
+use eecvs_nostd::{Config, Event, Mode, Sensor, Thresholds, Transform, WindowConfig};
+use event_emulator::{Preset, SceneConfig, emulate};
+use event_files::{BATCH_EVENTS, EventReader, Skipped};
+use serde::Serialize;
+
+use super::quartiles;
+
+/// Sensors that the same events are spread over.
+const SENSORS: [[u16; 2]; 5] = [
+    [128, 128],
+    [346, 260],
+    [640, 480],
+    [1280, 720],
+    [2048, 2048],
+];
+/// Events on each of them.
+const AREA_EVENTS: u64 = 3000;
+/// Events on one sensor.
+const COUNTS: [u64; 5] = [1000, 10_000, 100_000, 1_000_000, 10_000_000];
+/// Those of [`COUNTS`] that a quick run leaves out.
+const QUICK_MOST: u64 = 100_000;
+/// Sensor of [`COUNTS`].
+const SENSOR: Sensor = Sensor {
+    width: 346,
+    height: 260,
+};
+const PRESET: Preset = Preset::IndoorFlying;
+const SEED: u64 = 1;
+const WINDOW_US: u32 = 32_768;
+/// Events that are emulated; more are these again, later.
+const EMULATED: usize = 200_000;
+/// Events that a window's buffer holds; its size is not in the times.
+const WINDOW_EVENTS: usize = 1 << 16;
+/// Unused, since the transform is given.
+const THRESHOLDS: Thresholds = Thresholds::new(0, 0).unwrap();
+/// M: that of the paper's times.
+const PARAMETER_M: u8 = 8;
+
+/// One measurement; the fields are its JSON keys.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// What grows: `sensor` or `events`.
+    pub axis: &'static str,
+    /// Columns.
+    pub width: u16,
+    /// Rows.
+    pub height: u16,
+    /// Events encoded.
+    pub events: u64,
+    /// Windows with events.
+    pub windows: u64,
+    /// Bytes of the frames.
+    pub bytes_out: u64,
+    /// Median of the time from the first event to the last frame.
+    pub encode_s: f64,
+    /// First quartile.
+    pub encode_s_low: f64,
+    /// Third quartile.
+    pub encode_s_high: f64,
+    /// `encode_s` over `events`.
+    pub ns_per_event: f64,
+}
+
+/// Both series: DCT, M = 8, windows of 32,768 us, one thread; the memory of the encoder is there
+/// before the time begins. `progress` gets the events encoded so far.
+///
+/// # Errors
+/// An encoder that does not account for every event.
+pub fn measure(is_quick: bool, progress: &mut dyn FnMut(u64)) -> Result<Vec<Row>> {
+    let mut encoded = 0;
+    let mut advance = |events: u64| {
+        encoded += events;
+        progress(encoded);
+    };
+    let mut rows = Vec::new();
+    let small = Sensor {
+        width: SENSORS[0][0],
+        height: SENSORS[0][1],
+    };
+    let base = events(small, AREA_EVENTS as usize)?;
+    for [width, height] in SENSORS {
+        let sensor = Sensor { width, height };
+        let spread = |side: u16, to: u16, from: u16| {
+            (u32::from(side) * u32::from(to) / u32::from(from)) as u16
+        };
+        let spread: Vec<Event> = base
+            .iter()
+            .map(|event| Event {
+                x: spread(event.x, width, small.width),
+                y: spread(event.y, height, small.height),
+                ..*event
+            })
+            .collect();
+        let repetitions = if is_quick { 3 } else { 51 };
+        rows.push(run(
+            "sensor",
+            sensor,
+            &spread,
+            AREA_EVENTS,
+            repetitions,
+            &mut advance,
+        )?);
+    }
+    let base = events(SENSOR, EMULATED)?;
+    for count in COUNTS {
+        if is_quick && count > QUICK_MOST {
+            break;
+        }
+        let repetitions = match (is_quick, count) {
+            (true, _) => 3,
+            (false, ..=QUICK_MOST) => 51,
+            (false, _) => 7,
+        };
+        rows.push(run(
+            "events",
+            SENSOR,
+            &base,
+            count,
+            repetitions,
+            &mut advance,
+        )?);
+    }
+    Ok(rows)
+}
+
+/// The first events of the scene.
+fn events(sensor: Sensor, count: usize) -> Result<Vec<Event>> {
+    let mut scene = emulate(SceneConfig {
+        sensor,
+        duration_us: u64::from(u32::MAX),
+        ..SceneConfig::new(PRESET, SEED)
+    })?;
+    let mut events = Vec::new();
+    while events.len() < count && scene.read(&mut events)? > 0 {}
+    events.truncate(count);
+    ensure!(!events.is_empty(), "the scene has no events");
+    Ok(events)
+}
+
+/// Encodes `count` events, `base` again and again.
+fn run(
+    axis: &'static str,
+    sensor: Sensor,
+    base: &[Event],
+    count: u64,
+    repetitions: usize,
+    advance: &mut dyn FnMut(u64),
+) -> Result<Row> {
+    let config = Config {
+        transform: Some(Transform::Dct),
+        m: PARAMETER_M,
+        ..Config::new(
+            WindowConfig::new(sensor, WINDOW_US),
+            THRESHOLDS,
+            Mode::Transform,
+        )
+    };
+    let limits = Limits {
+        window_events: WINDOW_EVENTS,
+        ..Limits::default()
+    };
+    let mut times = Vec::new();
+    let mut last = None;
+    // The first warms up.
+    for repetition in 0..=repetitions {
+        let mut reader = Repeated::new(base, count, sensor);
+        let summary = encode(
+            &mut reader,
+            config,
+            limits,
+            NonZeroUsize::MIN,
+            &mut sink(),
+            &mut |_| (),
+        )?;
+        if repetition > 0 {
+            times.push(summary.encode_s);
+        }
+        advance(summary.events_in);
+        last = Some(summary);
+    }
+    let summary = last.unwrap_or_default();
+    let [encode_s_low, encode_s, encode_s_high] = quartiles(&mut times);
+    Ok(Row {
+        axis,
+        width: sensor.width,
+        height: sensor.height,
+        events: summary.events_encoded,
+        windows: summary.windows,
+        bytes_out: summary.bytes_out,
+        encode_s,
+        encode_s_low,
+        encode_s_high,
+        ns_per_event: encode_s * 1e9 / summary.events_encoded.max(1) as f64,
+    })
+}
+
+/// Events again and again, each time later.
+struct Repeated<'e> {
+    base: &'e [Event],
+    sensor: Sensor,
+    next: usize,
+    later_us: u64,
+    left: u64,
+    skipped: Skipped,
+}
+
+impl<'e> Repeated<'e> {
+    fn new(base: &'e [Event], count: u64, sensor: Sensor) -> Self {
+        Self {
+            base,
+            sensor,
+            next: 0,
+            later_us: 0,
+            left: count,
+            skipped: Skipped::default(),
+        }
+    }
+}
+
+impl EventReader for Repeated<'_> {
+    fn format(&self) -> &'static str {
+        "memory"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
+        let (Some(first), Some(last)) = (self.base.first(), self.base.last()) else {
+            return Ok(0);
+        };
+        if self.next == self.base.len() {
+            self.next = 0;
+            self.later_us += last.t_us - first.t_us + 1;
+        }
+        let rest = &self.base[self.next..];
+        let count = rest.len().min(BATCH_EVENTS).min(self.left as usize);
+        events.extend(rest[..count].iter().map(|event| Event {
+            t_us: event.t_us + self.later_us,
+            ..*event
+        }));
+        self.next += count;
+        self.left -= count as u64;
+        Ok(count)
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+}

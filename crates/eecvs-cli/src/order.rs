@@ -1,0 +1,126 @@
+//! What commands do about times that run back.
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use clap::Args;
+use eecvs::encode::EncodeSummary;
+use event_files::EventReader;
+use event_files::sort::Sorted;
+
+use crate::progress::Progress;
+
+/// Whether a recording is sorted.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct SortOptions {
+    /// Sort the events by time first, however far times run back; events of equal time keep their order. Uses
+    /// temporary files where they are many
+    #[arg(long)]
+    sort: bool,
+}
+
+impl SortOptions {
+    /// Whether it is.
+    #[must_use]
+    pub const fn is_asked(self) -> bool {
+        self.sort
+    }
+
+    /// The reader, or one of its events in order.
+    ///
+    /// # Errors
+    /// A temporary file that cannot be written.
+    pub fn apply(self, reader: Box<dyn EventReader>) -> Result<Box<dyn EventReader>> {
+        if !self.sort {
+            return Ok(reader);
+        }
+        let progress = Progress::new("events");
+        Ok(Box::new(Sorted::new(reader, &mut |events| {
+            progress.advance(events);
+        })?))
+    }
+}
+
+/// How much disorder is put right, and whether more of it is an error.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct OrderOptions {
+    /// Put events in order that come up to N microseconds after later ones; a clock that falls back further
+    /// begins a new run of windows. 0: it always does [default: 5000, of a live source 1000]
+    #[arg(long, value_name = "N")]
+    pub reorder_us: Option<u32>,
+
+    /// Exit with 0 also where events came too late and are in no frame
+    #[arg(long)]
+    pub allow_loss: bool,
+}
+
+impl OrderOptions {
+    /// An error where `late` of `events` events came too late, with what the user can do about it; where that is
+    /// allowed, `warn` gets the message.
+    ///
+    /// # Errors
+    /// Events that are in no frame.
+    pub fn refuse_late(
+        self,
+        name: &str,
+        (late, events): (u64, u64),
+        remedy: &str,
+        warn: impl FnOnce(&str),
+    ) -> Result<()> {
+        if late == 0 {
+            return Ok(());
+        }
+        let message = format!(
+            "{name}: {late} of {events} events came too late and are in no frame: give {remedy}"
+        );
+        if self.allow_loss {
+            warn(&message);
+            return Ok(());
+        }
+        bail!("{message}; --allow-loss makes it no error")
+    }
+}
+
+/// Says on stderr how often a clock fell back; an error where events are lost by it, unless that is allowed.
+///
+/// # Errors
+/// Events that came too late, which are in no frame.
+pub fn tell_disorder(input: &Path, summary: &EncodeSummary, order: OrderOptions) -> Result<()> {
+    let name = input.display().to_string();
+    if summary.runs > 1 {
+        eprintln!(
+            "eecvs: {name}: times run back further than is put in order: the frames are of {} runs, and hold all \
+             events; where it is one recording out of order, --sort or a longer --reorder-us takes fewer bytes",
+            summary.runs
+        );
+    }
+    let late = (summary.events_late, summary.events_in);
+    order.refuse_late(&name, late, "--reorder-us or --sort", |line| {
+        eprintln!("eecvs: {line}");
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn late_events_are_an_error_unless_loss_is_allowed() {
+        let mut order = OrderOptions::default();
+        let silent = |line: &str| panic!("{line}");
+        order.refuse_late("door", (0, 20), "time", silent).unwrap();
+        let refused = order.refuse_late("door", (4, 20), "time", silent);
+        let refused = refused.unwrap_err().to_string();
+        let message = "door: 4 of 20 events came too late and are in no frame: give time";
+        assert_eq!(
+            refused,
+            format!("{message}; --allow-loss makes it no error")
+        );
+        order.allow_loss = true;
+        let mut warned = String::new();
+        order
+            .refuse_late("door", (4, 20), "time", |line| warned = line.to_owned())
+            .unwrap();
+        assert_eq!(warned, message);
+    }
+}

@@ -1,0 +1,264 @@
+//! Runs the core's encoder over a recording.
+
+mod codec;
+mod cutter;
+mod parallel;
+pub mod readout;
+pub mod step;
+
+use std::io::Write;
+use std::num::NonZeroUsize;
+use std::time::{Duration, Instant};
+
+use eecvs_nostd::{Header, OUTPUT_BYTES_MIN, Transform};
+use event_types::stream::{Context, EventReader, Pause, Result};
+use event_types::{bail, ensure};
+use serde::{Deserialize, Serialize};
+
+use crate::storage::touch;
+pub use crate::storage::{HostStorage, Limits, WINDOW_EVENTS};
+pub use codec::{Budget, Codec};
+use cutter::{Cutter, Direct};
+
+/// Time for which events of a recording are put in order: packets of cameras and of their drivers overlap by
+/// less.
+pub const REORDER_US: u32 = 5_000;
+
+/// The same of a live source, whose windows are that much later: a sensor's own readout is out of order by
+/// less.
+pub const REORDER_LIVE_US: u32 = 1_000;
+
+/// A thread for each core that this process may use; 1 where that is not known.
+#[must_use]
+pub fn all_cores() -> NonZeroUsize {
+    std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
+}
+
+/// What `eecvs encode` reports; the fields are its JSON keys.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct EncodeSummary {
+    /// Events read.
+    pub events_in: u64,
+    /// Events in frames.
+    pub events_encoded: u64,
+    /// Events too old for their window, and in no frame.
+    pub events_late: u64,
+    /// Runs of windows: 1, and 1 for each time that the clock fell back further than is put in order.
+    #[serde(default)]
+    pub runs: u64,
+    /// Events that a filter kept out.
+    pub events_filtered: u64,
+    /// Events lost.
+    pub events_dropped: u64,
+    /// Events that the rate control left out.
+    pub events_thinned: u64,
+    /// Of those encoded, events whose times are not told exactly; in mode transform, all.
+    pub events_approximate: u64,
+    /// Windows with events.
+    pub windows: u64,
+    /// Windows whose volume is of the DCT.
+    pub windows_dct: u64,
+    /// Windows whose volume is of the DTFT.
+    pub windows_dtft: u64,
+    /// Windows whose volume is of the Haar DWT.
+    pub windows_dwt: u64,
+    /// Windows closed early because the buffer was full.
+    pub windows_truncated: u64,
+    /// Windows whose events of equal time are decoded in their order.
+    pub windows_in_order: u64,
+    /// Windows that were sent as coefficients; those sent as events count by the transform of their volume too.
+    #[serde(default)]
+    pub windows_as_coefficients: u64,
+    /// Bytes that tell the order.
+    pub bytes_order: u64,
+    /// Quantised levels cut to 32 bits.
+    pub levels_saturated: u64,
+    /// Frames written.
+    pub frames: u64,
+    /// Bytes written.
+    pub bytes_out: u64,
+    /// 8 `bytes_out` / `events_in`; 0 without events.
+    pub bits_per_event: f64,
+    /// Threads that encoded.
+    pub threads: usize,
+    /// Seconds spent encoding, from events to frames, reading and writing excluded: of several
+    /// threads the mean, which leaves out what each of them waited.
+    pub encode_s: f64,
+    /// `events_in` / `encode_s`; 0 without events.
+    pub events_per_s: f64,
+    /// Seconds from the first event read to the last byte written.
+    pub wall_s: f64,
+}
+
+impl EncodeSummary {
+    /// Adds a frame of `bytes` bytes.
+    fn add(&mut self, header: &Header, bytes: usize) {
+        self.frames += 1;
+        self.bytes_out += bytes as u64;
+        self.events_encoded += u64::from(header.events);
+        self.events_late += u64::from(header.late);
+        self.events_filtered += u64::from(header.filtered);
+        self.events_dropped += u64::from(header.dropped);
+        self.events_thinned += u64::from(header.thinned);
+        if !header.mode.is_lossless() {
+            self.events_approximate += u64::from(header.events);
+        }
+        self.levels_saturated += u64::from(header.saturated);
+        if let Some(order) = header.order {
+            self.windows_in_order += u64::from(header.last);
+            self.bytes_order += u64::from(order.bytes);
+        }
+        if header.part == 0 && (header.begins_run || self.runs == 0) {
+            self.runs += 1;
+        }
+        if header.part == 0 && header.window_events > 0 {
+            self.windows += 1;
+            self.windows_truncated += u64::from(header.truncated);
+            self.windows_as_coefficients += u64::from(header.mode.is_transform());
+            match header.transform {
+                Transform::Dct => self.windows_dct += 1,
+                Transform::Dtft => self.windows_dtft += 1,
+                Transform::Dwt => self.windows_dwt += 1,
+            }
+        }
+    }
+
+    /// 8 `bytes_order` / `events_in`; 0 without events.
+    #[must_use]
+    pub fn order_bits_per_event(&self) -> f64 {
+        self.bytes_order as f64 * 8.0 / self.events_in.max(1) as f64
+    }
+
+    /// 8 `bytes_out` / `events_encoded`; 0 without events: where a filter left events out, what each of the others took.
+    #[must_use]
+    pub fn bits_per_encoded_event(&self) -> f64 {
+        self.bytes_out as f64 * 8.0 / self.events_encoded.max(1) as f64
+    }
+
+    /// Encoded events whose times are exact.
+    #[must_use]
+    pub const fn events_exact(&self) -> u64 {
+        self.events_encoded.saturating_sub(self.events_approximate)
+    }
+
+    fn finish(&mut self, encoding: Duration, wall: Duration) {
+        self.encode_s = encoding.as_secs_f64() / self.threads.max(1) as f64;
+        self.wall_s = wall.as_secs_f64();
+        if self.events_in > 0 {
+            self.bits_per_event = self.bytes_out as f64 * 8.0 / self.events_in as f64;
+            self.events_per_s = self.events_in as f64 / self.encode_s.max(1e-9);
+        }
+    }
+}
+
+/// What was encoded, without its times, and the time that the threads spent on it.
+type Outcome = (EncodeSummary, Duration);
+
+/// Encodes a recording; `progress` gets the events read so far.
+///
+/// The frames do not depend on `threads`; with a budget of bytes, and of a live source, there is one.
+/// With one thread all happens on the caller's; with more, another one reads ahead and the caller's
+/// writes. A live source's window is written as soon as its time has run, also where no event follows. Memory does not grow with the recording: each
+/// thread holds at most 8 windows' buffers and some frames.
+///
+/// # Errors
+/// Reading or writing, a configuration that cannot run, or an event that is not accounted for. The
+/// frames of the windows before a reading error have been written.
+pub fn encode<'h>(
+    reader: &mut dyn EventReader,
+    codec: impl Into<Codec<'h>>,
+    limits: Limits,
+    threads: NonZeroUsize,
+    out: &mut dyn Write,
+    progress: &mut dyn FnMut(u64),
+) -> Result<EncodeSummary> {
+    let codec = codec.into();
+    ensure!(
+        limits.frame_bytes >= OUTPUT_BYTES_MIN,
+        Refused,
+        "a frame needs room for at least {OUTPUT_BYTES_MIN} bytes"
+    );
+    let started = Instant::now();
+    // What a window may take follows from those before it; and a live source's windows are not to
+    // wait for others.
+    let is_live = reader.pause() != Pause::Ended;
+    let usual_us = if is_live { REORDER_LIVE_US } else { REORDER_US };
+    let reorder_us = limits.reorder_us.unwrap_or(usual_us);
+    let limits = Limits {
+        reorder_us: Some(reorder_us),
+        ..limits
+    };
+    let threads = if is_live || codec.config.bytes_per_second.is_some() || codec.budget.is_some() {
+        NonZeroUsize::MIN
+    } else {
+        threads
+    };
+    let run = if threads == NonZeroUsize::MIN {
+        encode_here(reader, codec, limits, out, progress)
+    } else {
+        parallel::encode(reader, codec, limits, threads, out, progress)
+    };
+    let (mut summary, encoding) = run?;
+    summary.threads = threads.get();
+    summary.finish(encoding, started.elapsed());
+    let accounted = summary.events_encoded
+        + summary.events_late
+        + summary.events_filtered
+        + summary.events_dropped
+        + summary.events_thinned;
+    ensure!(
+        accounted == summary.events_in,
+        Refused,
+        "{} events were read but {accounted} are accounted for: please report this",
+        summary.events_in
+    );
+    Ok(summary)
+}
+
+/// Encodes on this thread.
+fn encode_here(
+    reader: &mut dyn EventReader,
+    codec: Codec<'_>,
+    limits: Limits,
+    out: &mut dyn Write,
+    progress: &mut dyn FnMut(u64),
+) -> Result<Outcome> {
+    let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits);
+    let (mut windows, mut encoder) = storage.parts(codec.config, codec.hot)?;
+    let window = windows.first_mut().context("the memory has no window")?;
+    let mut cutter = Cutter::new(Direct(reader), limits.reorder_us.unwrap_or(REORDER_US));
+    let mut frame = vec![0; limits.frame_bytes];
+    touch(&mut frame);
+    let mut summary = EncodeSummary::default();
+    let mut encoding = Duration::ZERO;
+    while cutter.cut(window, &mut encoding)? {
+        if let Some(budget) = codec.budget {
+            // A mode without a budget has none here either.
+            let _ = encoder.set_budget(budget.get());
+        }
+        loop {
+            let started = Instant::now();
+            let encoded = codec.next_frame(&mut encoder, window, &mut frame);
+            encoding += started.elapsed();
+            match encoded {
+                Ok(Some(encoded)) => {
+                    summary.add(&encoded.header, encoded.range.len());
+                    write_frame(out, &frame[encoded.range])?;
+                }
+                Ok(None) => break,
+                Err(_) => bail!(Refused, "{}", NO_ROOM),
+            }
+        }
+        progress(cutter.events_in());
+    }
+    summary.events_in = cutter.events_in();
+    progress(summary.events_in);
+    Ok((summary, encoding))
+}
+
+/// [`ensure`] that frames have [`OUTPUT_BYTES_MIN`] makes it unreachable.
+const NO_ROOM: &str = "a frame has no room for a pixel";
+
+fn write_frame(out: &mut dyn Write, frame: &[u8]) -> Result<()> {
+    out.write_all(frame).context("writing frames")
+}

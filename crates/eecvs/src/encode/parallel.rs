@@ -1,0 +1,374 @@
+//! Encoding on several threads, with the bytes of one.
+//!
+//! ```text
+//! reader -> events -> cutter -> windows -> encoders -> chunks of frames -> writer
+//! ```
+//!
+//! One thread reads ahead, N encode, the caller's writes. There is no thread that cuts: whoever has
+//! nothing to encode takes the lock of the cutter, fills windows of its own and, before it gives
+//! the lock back, queues the receiving end of a channel for their frames. So the queue has the order
+//! of the recording, whoever finishes first.
+//!
+//! A frame carries its number, which is only known when those before it are made. An encoder takes
+//! the one it will most probably have, as nearly every window is one frame; the writer seals a frame
+//! again where that was wrong.
+//!
+//! Nobody waits for ever: the encoder of the oldest window holds no lock and has a writer that waits
+//! for it alone. Who ends, for whatever reason, drops its ends of the channels, which ends the
+//! others.
+
+use std::io::Write;
+use std::num::NonZeroUsize;
+use std::ops::Range;
+use std::panic::resume_unwind;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::thread::{Builder, scope};
+use std::time::{Duration, Instant};
+
+use eecvs_nostd::coder::key_frames::Chain;
+use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
+use eecvs_nostd::{Encoded, Event, Header, Window, WindowEncoder};
+use event_types::stream::{Context, EventReader, Result};
+use event_types::{bail, error};
+
+use super::cutter::{Batches, Cutter};
+use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, REORDER_US, write_frame};
+
+/// Batches of events that are read ahead.
+const BATCHES_AHEAD: usize = 4;
+/// Windows that a thread cuts in a go, at most: passing windows on costs some microseconds, as much
+/// as encoding a few hundred events.
+const WINDOWS: usize = 8;
+/// Events after which it cuts no further window.
+const EVENTS: u32 = 1 << 13;
+/// Bytes of frames after which a chunk goes to the writer.
+const CHUNK_BYTES: usize = 1 << 18;
+
+/// Frames on their way to the writer.
+struct Chunk {
+    /// Room for [`CHUNK_BYTES`] and a frame.
+    bytes: Vec<u8>,
+    frames: Vec<Made>,
+    /// The last of the windows that were cut in a go.
+    is_last: bool,
+}
+
+/// A frame in a chunk.
+struct Made {
+    header: Header,
+    /// Where the encoder had room for it.
+    at: usize,
+    /// Where it lies, from `at`.
+    range: Range<usize>,
+}
+
+impl Made {
+    /// Makes it frame number `sequence`; its room is `out`.
+    fn number(&mut self, sequence: u32, out: &mut [u8]) -> Result<()> {
+        self.header.sequence = sequence;
+        let payload_bytes = self.range.end - CRC_BYTES - HEADER_BYTES_MAX;
+        match seal(&self.header, payload_bytes, out) {
+            Ok(range) => self.range = range,
+            Err(_) => bail!(Refused, "{}", NO_ROOM),
+        }
+        Ok(())
+    }
+}
+
+/// The windows that were cut in a go, as the writer sees them: their chunks, or why there are none.
+type Cut = Result<Receiver<Result<Chunk>>>;
+
+/// What one encoder at a time has.
+struct Front {
+    cutter: Cutter<ReadAhead>,
+    /// Windows cut so far; wraps, as the frames' numbers do.
+    windows: u32,
+    /// Of the dense coder: windows after which its frames begin anew. A go ends there.
+    chained: Option<u16>,
+    cuts: SyncSender<Cut>,
+}
+
+/// What all threads have.
+struct Shared {
+    frame_bytes: usize,
+    events_in: AtomicU64,
+    /// Frames beyond one a window, of all that has been written; wraps.
+    extra_frames: AtomicU32,
+    /// Chunks to be used again.
+    spare: Mutex<Vec<Chunk>>,
+}
+
+/// As [`super::encode`], on `threads` threads beside one that reads and this one, which writes.
+pub fn encode(
+    reader: &mut dyn EventReader,
+    codec: Codec<'_>,
+    limits: Limits,
+    threads: NonZeroUsize,
+    out: &mut dyn Write,
+    progress: &mut dyn FnMut(u64),
+) -> Result<Outcome> {
+    let sensor = codec.config.window.sensor;
+    let chained = codec.chained();
+    let windows = chained.map_or(WINDOWS, |key_windows| usize::from(key_windows).max(1));
+    let mut storages: Vec<_> = (0..threads.get())
+        .map(|_| HostStorage::with_windows(windows, sensor, limits))
+        .collect();
+    let encoders: Vec<_> = storages
+        .iter_mut()
+        .map(|storage| storage.parts(codec.config, codec.hot))
+        .collect::<Result<_>>()?;
+    let shared = Shared {
+        frame_bytes: limits.frame_bytes,
+        events_in: AtomicU64::new(0),
+        extra_frames: AtomicU32::new(0),
+        spare: Mutex::new(Vec::new()),
+    };
+    let (filled_in, filled) = sync_channel(BATCHES_AHEAD);
+    let (used_in, used) = channel();
+    // As many again as are being encoded, so that a long one does not hold up the others.
+    let (cuts_in, cuts) = sync_channel(2 * threads.get());
+    let front = Arc::new(Mutex::new(Front {
+        cutter: Cutter::new(
+            ReadAhead {
+                filled,
+                used: used_in,
+            },
+            limits.reorder_us.unwrap_or(REORDER_US),
+        ),
+        windows: 0,
+        chained,
+        cuts: cuts_in,
+    }));
+    scope(|scope| {
+        // Both are dropped with this closure, on an error too: that ends the threads.
+        let (front, cuts) = (front, cuts);
+        let start = |name: &str| Builder::new().name(name.to_owned());
+        let unstarted = "starting a thread: try fewer with --threads";
+        start("read")
+            .spawn_scoped(scope, move || read(reader, &filled_in, &used))
+            .context(unstarted)?;
+        let mut running = Vec::new();
+        for (windows, encoder) in encoders {
+            let (front, shared) = (Arc::clone(&front), &shared);
+            let thread = start("encode").spawn_scoped(scope, move || {
+                let mut thread = Thread {
+                    shared,
+                    codec,
+                    windows,
+                    encoder,
+                    busy: Duration::ZERO,
+                };
+                // Its errors have gone to the writer.
+                while thread.turn(&front).is_some() {}
+                thread.busy
+            });
+            running.push(thread.context(unstarted)?);
+        }
+        drop(front);
+        let written = write(cuts, &shared, out, progress);
+        let mut encoding = Duration::ZERO;
+        for thread in running {
+            encoding += thread.join().unwrap_or_else(|panic| resume_unwind(panic));
+        }
+        let mut summary = written?;
+        summary.events_in = shared.events_in.load(Ordering::Relaxed);
+        progress(summary.events_in);
+        Ok((summary, encoding))
+    })
+}
+
+/// Reads ahead, until the end, an error, or nobody wants more.
+fn read(
+    reader: &mut dyn EventReader,
+    filled: &SyncSender<Result<Vec<Event>>>,
+    used: &Receiver<Vec<Event>>,
+) {
+    loop {
+        let mut events = used.try_recv().unwrap_or_default();
+        events.clear();
+        let read = reader.read(&mut events).map(|_| events);
+        let ends = read.as_ref().map_or(true, Vec::is_empty);
+        if filled.send(read).is_err() || ends {
+            return;
+        }
+    }
+}
+
+/// The receiving side of [`read`].
+struct ReadAhead {
+    filled: Receiver<Result<Vec<Event>>>,
+    used: Sender<Vec<Event>>,
+}
+
+impl Batches for ReadAhead {
+    fn next(&mut self, events: &mut Vec<Event>) -> Result<()> {
+        let filled = self.filled.recv().context("the reading thread stopped")??;
+        // Without a reader there is nothing more to fill.
+        let _ = self.used.send(std::mem::replace(events, filled));
+        Ok(())
+    }
+}
+
+impl Front {
+    /// Cuts windows and queues their place in the output: how many, the number of the first, and
+    /// where their chunks go. `None` where there are no more or nobody writes.
+    fn cut(
+        &mut self,
+        windows: &mut [Window<'_>],
+        busy: &mut Duration,
+    ) -> Option<(usize, u32, SyncSender<Result<Chunk>>)> {
+        let (mut count, mut events) = (0, 0);
+        let mut chain = Chain::START;
+        let mut failed = None;
+        for window in windows {
+            match self.cutter.cut(window, busy) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(error) => {
+                    failed = Some(error);
+                    break;
+                }
+            }
+            count += 1;
+            events += window.events();
+            let ends = match self.chained {
+                Some(key_windows) => {
+                    chain.next(window.events(), key_windows);
+                    chain.ends(key_windows)
+                }
+                None => events >= EVENTS,
+            };
+            if ends {
+                break;
+            }
+        }
+        let first = self.windows;
+        self.windows = first.wrapping_add(count as u32);
+        let (chunks_in, chunks) = sync_channel(1);
+        if count > 0 {
+            self.cuts.send(Ok(chunks)).ok()?;
+        }
+        if let Some(error) = failed {
+            self.cuts.send(Err(error)).ok()?;
+        }
+        (count > 0).then_some((count, first, chunks_in))
+    }
+}
+
+/// A thread that encodes.
+struct Thread<'s, 'b> {
+    shared: &'s Shared,
+    codec: Codec<'s>,
+    windows: Vec<Window<'b>>,
+    encoder: WindowEncoder<'b>,
+    busy: Duration,
+}
+
+impl Thread<'_, '_> {
+    /// Cuts and encodes some windows; `None` when there is no more to do.
+    fn turn(&mut self, front: &Mutex<Front>) -> Option<()> {
+        // A lock that is poisoned is another thread's panic, which the writer will pass on.
+        let mut front = front.lock().ok()?;
+        let cut = front.cut(&mut self.windows, &mut self.busy);
+        let events_in = front.cutter.events_in();
+        drop(front);
+        self.shared
+            .events_in
+            .fetch_max(events_in, Ordering::Relaxed);
+        let (count, first, chunks) = cut?;
+        let extra = self.shared.extra_frames.load(Ordering::Relaxed);
+        self.encoder.follow(first.wrapping_add(extra));
+        // A go is a chain of its own.
+        self.encoder.restart();
+        self.encode(count, &chunks)
+    }
+
+    /// Encodes the first `count` windows; `None` where nobody writes.
+    fn encode(&mut self, count: usize, chunks: &SyncSender<Result<Chunk>>) -> Option<()> {
+        let mut chunk = self.shared.chunk();
+        let mut at = 0;
+        for window in self.windows.iter_mut().take(count) {
+            loop {
+                let started = Instant::now();
+                let room = chunk.bytes.get_mut(at..at + self.shared.frame_bytes)?;
+                let encoded = self.codec.next_frame(&mut self.encoder, window, room);
+                self.busy += started.elapsed();
+                let Ok(encoded) = encoded else {
+                    return chunks.send(Err(error!(Refused, "{}", NO_ROOM))).ok();
+                };
+                let Some(Encoded { header, range }) = encoded else {
+                    break;
+                };
+                let end = at + range.end;
+                chunk.frames.push(Made { header, at, range });
+                at = end;
+                if at >= CHUNK_BYTES {
+                    chunks.send(Ok(chunk)).ok()?;
+                    (chunk, at) = (self.shared.chunk(), 0);
+                }
+            }
+        }
+        chunk.is_last = true;
+        chunks.send(Ok(chunk)).ok()
+    }
+}
+
+impl Shared {
+    /// A chunk without frames.
+    fn chunk(&self) -> Chunk {
+        let spare = self.spare.lock().ok().and_then(|mut spare| spare.pop());
+        spare.unwrap_or_else(|| Chunk {
+            bytes: vec![0; CHUNK_BYTES + self.frame_bytes],
+            frames: Vec::new(),
+            is_last: false,
+        })
+    }
+
+    /// Takes back a chunk that was written.
+    fn reuse(&self, mut chunk: Chunk) {
+        chunk.frames.clear();
+        chunk.is_last = false;
+        if let Ok(mut spare) = self.spare.lock() {
+            spare.push(chunk);
+        }
+    }
+}
+
+/// Writes the frames in the order of the cuts.
+fn write(
+    cuts: Receiver<Cut>,
+    shared: &Shared,
+    out: &mut dyn Write,
+    progress: &mut dyn FnMut(u64),
+) -> Result<EncodeSummary> {
+    let mut summary = EncodeSummary::default();
+    let mut sequence = 0_u32;
+    let mut extra_frames = 0_u32;
+    // By value: whoever still encodes after an error here learns it from a closed channel.
+    for chunks in cuts {
+        let chunks = chunks?;
+        loop {
+            let mut chunk = chunks.recv().context("an encoding thread stopped")??;
+            for made in &mut chunk.frames {
+                let room = chunk.bytes.get_mut(made.at..).unwrap_or_default();
+                if made.header.sequence != sequence {
+                    made.number(sequence, room)?;
+                }
+                sequence = sequence.wrapping_add(1);
+                extra_frames = extra_frames.wrapping_add(u32::from(!made.header.last));
+                write_frame(out, room.get(made.range.clone()).unwrap_or_default())?;
+                summary.add(&made.header, made.range.len());
+            }
+            let is_last = chunk.is_last;
+            shared.reuse(chunk);
+            if is_last {
+                break;
+            }
+        }
+        shared.extra_frames.store(extra_frames, Ordering::Relaxed);
+        progress(shared.events_in.load(Ordering::Relaxed));
+    }
+    Ok(summary)
+}

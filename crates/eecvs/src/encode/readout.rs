@@ -1,0 +1,304 @@
+//! How a recording's sensor scans, found from its first events.
+//!
+//! The differences between the times of a line's events are multiples of the period where the sensor
+//! scans, whatever the line's phase: the period is the frequency at which their spectrum
+//! |sum exp(2 pi i f difference)| has its first high peak, refined over ever longer differences. The
+//! slope is the phase from line to line. What is found counts only where windows are shorter with it,
+//! which the encoder decides window by window.
+
+use std::f64::consts::TAU;
+
+use eecvs_nostd::{Axis, Coder, Config, Event, Fidelity, Hybrid, Mode, Readout, Sensor};
+use event_types::stream::{Ahead, EventReader};
+use num_complex::Complex;
+use rustfft::FftPlanner;
+
+/// Events that are looked at.
+pub const EVENTS: usize = 1 << 17;
+/// Fewer tell nothing.
+const EVENTS_MIN: usize = 1 << 10;
+/// Microseconds of a spectrum.
+const SPECTRUM_US: usize = 1 << 14;
+/// Longest difference that enters the spectrum, where a period's error has not added up yet.
+const SHORT_US: usize = 1 << 11;
+/// Periods that are told.
+const PERIOD_US: (f64, f64) = (16.0, 250.0);
+/// Share of the differences that a peak has to gather.
+const PEAK_MIN: f64 = 0.4;
+
+/// Looks at a recording's first events where its frames could be told by scans, for a configuration
+/// that knows how the sensor does.
+#[must_use]
+pub fn look(reader: Box<dyn EventReader>, config: Config) -> (Box<dyn EventReader>, Config) {
+    if !may_scan(config.mode) {
+        return (reader, config);
+    }
+    let ahead = Ahead::new(reader, EVENTS);
+    let config = look_at(ahead.events(), config);
+    (Box::new(ahead), config)
+}
+
+/// As [`look`], of events in memory.
+#[must_use]
+pub fn look_at(events: &[Event], config: Config) -> Config {
+    let sensor = config.window.sensor;
+    let readout = may_scan(config.mode)
+        .then(|| find(events, sensor))
+        .flatten();
+    Config { readout, ..config }
+}
+
+const fn may_scan(mode: Mode) -> bool {
+    matches!(
+        mode,
+        Mode::Hybrid(Hybrid {
+            coder: Coder::Dense,
+            fidelity: Fidelity::Lossless | Fidelity::ToleranceUs(_),
+        })
+    )
+}
+
+/// How the sensor of these events scans, if it does.
+#[must_use]
+pub fn find(events: &[Event], sensor: Sensor) -> Option<Readout> {
+    let events = events.get(..EVENTS.min(events.len())).unwrap_or_default();
+    if events.len() < EVENTS_MIN {
+        return None;
+    }
+    [Axis::Columns, Axis::Rows]
+        .into_iter()
+        .filter_map(|axis| find_along(axis, events, sensor))
+        .max_by(|(a, _), (b, _)| a.total_cmp(b))
+        .map(|(_, readout)| readout)
+}
+
+/// The readout along an axis, and how well the times fit it, 0 to 1.
+fn find_along(axis: Axis, events: &[Event], sensor: Sensor) -> Option<(f64, Readout)> {
+    let lines = times_of_lines(axis, events, sensor);
+    let period = refine(first_peak(&lines)?, &lines);
+    // A comb of a multiple of the frequency fits as well: the first peak was the longest period.
+    let (least, most) = PERIOD_US;
+    if !(least..=most).contains(&period) {
+        return None;
+    }
+    let (share, slope) = slope(period, &lines)?;
+    let q16 = |us: f64| (us * 65_536.0).round();
+    let readout = Readout::new(axis, q16(period) as u32, q16(slope) as i32)?;
+    (share > PEAK_MIN).then_some((share, readout))
+}
+
+/// The times of each line's events from the first event on, without repetitions, ascending.
+fn times_of_lines(axis: Axis, events: &[Event], sensor: Sensor) -> Vec<Vec<u64>> {
+    let count = match axis {
+        Axis::Columns => sensor.width,
+        Axis::Rows => sensor.height,
+    };
+    let mut lines = vec![Vec::new(); usize::from(count)];
+    let start = events.iter().map(|event| event.t_us).min().unwrap_or(0);
+    for event in events {
+        let line = match axis {
+            Axis::Columns => event.x,
+            Axis::Rows => event.y,
+        };
+        if let Some(times) = lines.get_mut(usize::from(line)) {
+            times.push(event.t_us - start);
+        }
+    }
+    for times in &mut lines {
+        times.sort_unstable();
+        times.dedup();
+    }
+    lines
+}
+
+/// Differences between neighbouring times of a line, up to `most_us`.
+fn differences(lines: &[Vec<u64>], most_us: u64) -> impl Iterator<Item = u64> {
+    lines
+        .iter()
+        .flat_map(|times| times.windows(2).map(|two| two[1] - two[0]))
+        .filter(move |difference| *difference <= most_us)
+}
+
+/// Period of the first high peak of the spectrum.
+fn first_peak(lines: &[Vec<u64>]) -> Option<f64> {
+    let mut spectrum = vec![Complex::new(0.0, 0.0); SPECTRUM_US];
+    let mut total = 0.0;
+    for difference in differences(lines, SHORT_US as u64 - 1) {
+        spectrum[difference as usize].re += 1.0;
+        total += 1.0;
+    }
+    if total < EVENTS_MIN as f64 / 8.0 {
+        return None;
+    }
+    FftPlanner::new()
+        .plan_fft_forward(SPECTRUM_US)
+        .process(&mut spectrum);
+    let (least, most) = PERIOD_US;
+    let frequency = |period: f64| (SPECTRUM_US as f64 / period) as usize;
+    let range = frequency(most)..frequency(least);
+    let height = |at: usize| spectrum[at].norm() / total;
+    let highest = range.clone().map(height).fold(0.0, f64::max);
+    if highest < PEAK_MIN {
+        return None;
+    }
+    // The first that is nearly as high, to its top.
+    let mut at = range.clone().find(|at| height(*at) > 0.9 * highest)?;
+    while range.contains(&(at + 1)) && height(at + 1) > height(at) {
+        at += 1;
+    }
+    Some(SPECTRUM_US as f64 / at as f64)
+}
+
+/// The period that fits ever longer differences: each step's error is well below a period over four
+/// times its length.
+fn refine(mut period: f64, lines: &[Vec<u64>]) -> f64 {
+    let mut longest = SHORT_US as f64;
+    for _ in 0..6 {
+        for _ in 0..3 {
+            // Least squares of difference - n period over n.
+            let (mut dot, mut square) = (0.0, 0.0);
+            for times in lines {
+                let mut from = 0;
+                for (to, time) in times.iter().enumerate() {
+                    while (time - times[from]) as f64 > longest {
+                        from += 1;
+                    }
+                    if from == to {
+                        continue;
+                    }
+                    let difference = (time - times[from]) as f64;
+                    let n = (difference / period).round();
+                    let off = difference - n * period;
+                    if off.abs() < 4.0 {
+                        dot += n * off;
+                        square += n * n;
+                    }
+                }
+            }
+            if square > 0.0 {
+                period += dot / square;
+            }
+        }
+        longest *= 2.0;
+    }
+    period
+}
+
+/// Shift from line to line, and how well neighbouring lines agree, 0 to 1.
+fn slope(period: f64, lines: &[Vec<u64>]) -> Option<(f64, f64)> {
+    // Phases of a line, over stretches in which the period's error does not show.
+    const STRETCH_US: u64 = 1 << 16;
+    let mut turn = Complex::new(0.0, 0.0);
+    let stretches = lines.iter().filter_map(|times| times.last()).max()? / STRETCH_US;
+    let phases = |times: &[u64], stretch: u64| {
+        let start = times.partition_point(|time| *time < stretch * STRETCH_US);
+        let end = times.partition_point(|time| *time < (stretch + 1) * STRETCH_US);
+        times[start..end]
+            .iter()
+            .map(|time| Complex::from_polar(1.0, TAU * *time as f64 / period))
+            .sum::<Complex<f64>>()
+    };
+    let all: Vec<Vec<_>> = (0..=stretches)
+        .map(|stretch| lines.iter().map(|times| phases(times, stretch)).collect())
+        .collect();
+    for two in all.iter().flat_map(|line| line.windows(2)) {
+        turn += two[0].conj() * two[1] / (two[0].norm() * two[1].norm()).max(1.0).sqrt();
+    }
+    let events = lines.iter().map(|times| times.len() as f64).sum::<f64>();
+    let mut slope = turn.arg() / TAU * period;
+    // The same over ever more lines, where a small error shows.
+    let mut apart = 2;
+    while apart < lines.len() {
+        let mut turn = Complex::new(0.0, 0.0);
+        for line in &all {
+            for (a, b) in line.iter().zip(line.get(apart..).unwrap_or_default()) {
+                turn += a.conj() * b / (a.norm() * b.norm()).max(1.0).sqrt();
+            }
+        }
+        let expected = slope * apart as f64;
+        let off = turn * Complex::from_polar(1.0, -TAU * expected / period);
+        if off.norm() > 0.0 {
+            slope += off.arg() / TAU * period / apart as f64;
+        }
+        apart *= 2;
+    }
+    let agreeing: f64 = all
+        .iter()
+        .map(|line| {
+            let turned = |(at, phase): (usize, &Complex<f64>)| {
+                phase * Complex::from_polar(1.0, -TAU * slope * at as f64 / period)
+            };
+            line.iter()
+                .enumerate()
+                .map(turned)
+                .sum::<Complex<f64>>()
+                .norm()
+        })
+        .sum();
+    Some((agreeing / events, slope))
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_nostd::Polarity;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+    use rand_xoshiro::rand_core::{Rng, SeedableRng};
+
+    use super::*;
+
+    /// Events of a sensor that scans, with jitter of a microsecond, or of one that does not.
+    fn events(axis: Axis, grid: Option<(f64, f64)>) -> (Vec<Event>, Sensor) {
+        let sensor = Sensor::new(160, 120).unwrap();
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(7);
+        let mut events: Vec<_> = (0..40_000)
+            .map(|_| {
+                let x = (random.next_u32() % 160) as u16;
+                let y = (random.next_u32() % 120) as u16;
+                let line = f64::from(match axis {
+                    Axis::Columns => x,
+                    Axis::Rows => y,
+                });
+                let at = random.next_u32() % 400_000;
+                let t_us = match grid {
+                    Some((period, slope)) => {
+                        let scan = (f64::from(at) / period).floor();
+                        let jitter = f64::from(random.next_u32() % 3) - 1.0;
+                        1_000_000.0 + scan * period + slope * line + jitter
+                    }
+                    None => 1_000_000.0 + f64::from(at),
+                };
+                Event {
+                    t_us: t_us.round() as u64,
+                    x,
+                    y,
+                    polarity: Polarity::On,
+                }
+            })
+            .collect();
+        events.sort_by_key(|event| event.t_us);
+        (events, sensor)
+    }
+
+    #[test]
+    fn a_grid_is_found_along_its_axis() {
+        for axis in [Axis::Columns, Axis::Rows] {
+            for (period, slope) in [(197.283, -0.6), (101.4, 0.85), (31.25, 0.0)] {
+                let (events, sensor) = events(axis, Some((period, slope)));
+                let readout = find(&events, sensor).expect("a grid");
+                // All lines at once: columns are as good as rows.
+                assert!(readout.axis() == axis || slope == 0.0, "{period} {slope}");
+                let found = f64::from(readout.period_q16()) / 65_536.0;
+                assert!((found - period).abs() < 0.002, "{found} {period}");
+                let found = f64::from(readout.slope_q16()) / 65_536.0;
+                assert!((found - slope).abs() < 0.005, "{found} {slope}");
+            }
+        }
+    }
+
+    #[test]
+    fn there_is_none_where_times_are_any() {
+        let (events, sensor) = events(Axis::Columns, None);
+        assert_eq!(find(&events, sensor), None);
+        assert_eq!(find(&events[..100], sensor), None);
+    }
+}

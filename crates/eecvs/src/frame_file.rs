@@ -1,0 +1,390 @@
+//! Frames of an `.eecvs` file or stream, with an account of what was damaged or lost.
+
+use std::io::Read;
+
+use eecvs_nostd::frame::CRC_BYTES;
+use eecvs_nostd::{
+    FRAME_BYTES_MAX, Frame, FrameError, Header, Order, Scan, Sensor, Sequence, scan,
+};
+use serde::Serialize;
+
+use crate::reconstruct::hybrid::Refused;
+
+/// Bytes asked of the source at a time.
+const READ_BYTES: usize = 1 << 16;
+/// Frames that are remembered: as many as [`Sequence`] does.
+const RECENT: usize = 64;
+
+/// What a reader met besides frames in order.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct LinkReport {
+    /// Frames delivered.
+    pub frames: u64,
+    /// Bytes that belong to no frame.
+    pub damaged_bytes: u64,
+    /// Runs of such bytes.
+    pub damaged_runs: u64,
+    /// Offset of the first of them, and why they are no frame.
+    pub first_damage: Option<(u64, String)>,
+    /// Frames that never came.
+    pub frames_lost: u64,
+    /// Frames before the first one that came, as its number tells: whoever joined the stream under way has none
+    /// of them.
+    pub frames_before: u64,
+    /// Frames that came twice; the second was left out.
+    pub frames_repeated: u64,
+    /// Frames that came after a later one; delivered where they came.
+    pub frames_reordered: u64,
+    /// Times that the sequence numbers began anew: files put together, or an encoder that was
+    /// started again. Nothing is left out there.
+    pub restarts: u64,
+    /// Frames whose checksums match but whose payload contradicts its header.
+    pub frames_malformed: u64,
+    /// Undamaged frames that go on from one that did not come, up to the next key frame.
+    pub frames_dependent: u64,
+    /// Where the first frame of another sensor is, and that one's size: from there on nothing was used.
+    pub other_sensor: Option<(u64, String)>,
+}
+
+impl LinkReport {
+    /// Whether nothing was damaged, lost, repeated or out of order.
+    #[must_use]
+    pub fn is_clean(&self) -> bool {
+        *self
+            == Self {
+                frames: self.frames,
+                ..Self::default()
+            }
+    }
+
+    /// Whether anything is missing: not so where frames came twice, out of order, or were put together.
+    #[must_use]
+    pub const fn has_loss(&self) -> bool {
+        let missing =
+            self.damaged_bytes + self.frames_lost + self.frames_malformed + self.frames_dependent;
+        missing > 0 || self.other_sensor.is_some()
+    }
+
+    /// Counts a frame whose payload does not decode.
+    pub const fn count_refused(&mut self, refused: Refused) {
+        match refused {
+            Refused::Malformed => self.frames_malformed += 1,
+            Refused::Dependent => self.frames_dependent += 1,
+        }
+    }
+
+    /// One line about what was met, or `None` for a clean stream.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        if self.is_clean() {
+            return None;
+        }
+        let mut met = Vec::new();
+        if let Some((offset, why)) = &self.first_damage {
+            met.push(format!(
+                "{} damaged bytes in {} places, the first at byte {offset}: {why}",
+                self.damaged_bytes, self.damaged_runs
+            ));
+        }
+        for (frames, what) in [
+            (self.frames_before, "before the first one that is there"),
+            (self.frames_lost, "lost"),
+            (self.frames_repeated, "repeated"),
+            (self.frames_reordered, "out of order"),
+            (self.frames_malformed, "malformed"),
+            (self.frames_dependent, "without those they go on from"),
+        ] {
+            if frames > 0 {
+                met.push(format!("frames {what}: {frames}"));
+            }
+        }
+        if self.restarts > 0 {
+            met.push(format!(
+                "new beginnings of the numbering: {}",
+                self.restarts
+            ));
+        }
+        let Some((offset, sensor)) = &self.other_sensor else {
+            return Some(format!("{}; everything else was used", met.join("; ")));
+        };
+        met.push(format!(
+            "at byte {offset} frames of another sensor begin ({sensor}): everything before was used; `eecvs split` \
+             takes them apart"
+        ));
+        Some(met.join("; "))
+    }
+}
+
+/// A frame that was read, and where.
+#[derive(Debug, Clone, Copy)]
+pub struct Located<'r> {
+    /// The frame.
+    pub frame: Frame<'r>,
+    /// Offset of its first byte.
+    pub offset: u64,
+    /// All of its bytes.
+    pub bytes: &'r [u8],
+    /// [`LinkReport::restarts`], this frame's included.
+    pub restarts: u64,
+}
+
+/// The order of the frames of a stream: what is lost, came twice, or begins anew.
+#[derive(Debug, Clone)]
+pub struct FrameOrder {
+    sequence: Sequence,
+    /// Sequence number and CRC-32 of the frames that came last, at number modulo the length.
+    recent: [Option<(u32, [u8; CRC_BYTES])>; RECENT],
+    newest_t0_us: u64,
+}
+
+impl Default for FrameOrder {
+    fn default() -> Self {
+        Self {
+            sequence: Sequence::new(),
+            recent: [None; RECENT],
+            newest_t0_us: 0,
+        }
+    }
+}
+
+impl FrameOrder {
+    /// Counts a frame's place in the sequence; whether it is to be delivered. `crc` is the frame's end.
+    pub fn take(&mut self, header: &Header, crc: [u8; CRC_BYTES], report: &mut LinkReport) -> bool {
+        let number = header.sequence;
+        if self.recent.iter().all(Option::is_none) {
+            report.frames_before += u64::from(number);
+        }
+        let mut order = self.sequence.follow(number);
+        if order == Order::Repeated && self.begins_anew(header, crc) {
+            report.restarts += 1;
+            *self = Self::default();
+            report.frames_before += u64::from(number);
+            order = self.sequence.follow(number);
+        }
+        match order {
+            Order::InOrder => {}
+            Order::Lost(frames) => report.frames_lost += u64::from(frames),
+            Order::Reordered => {
+                report.frames_reordered += 1;
+                report.frames_lost = report.frames_lost.saturating_sub(1);
+            }
+            Order::Repeated => {
+                report.frames_repeated += 1;
+                return false;
+            }
+        }
+        report.frames += 1;
+        self.recent[number as usize % RECENT] = Some((number, crc));
+        self.newest_t0_us = if header.begins_run {
+            header.t0_us
+        } else {
+            self.newest_t0_us.max(header.t0_us)
+        };
+        true
+    }
+
+    /// Whether a number that has come before is another frame's: of another file put behind the
+    /// first, or of an encoder that was started again.
+    fn begins_anew(&self, header: &Header, crc: [u8; CRC_BYTES]) -> bool {
+        match self.recent[header.sequence as usize % RECENT] {
+            Some((number, seen)) if number == header.sequence => seen != crc,
+            // Too old to be remembered: a repeated frame is neither new nor an encoder's first.
+            _ => header.sequence == 0 || header.t0_us > self.newest_t0_us,
+        }
+    }
+}
+
+/// Sensors whose frames' numbers are followed apart; more come of no camera.
+const SENSORS_MAX: usize = 256;
+
+/// The order of a sensor's frames.
+fn order_of(orders: &mut Vec<(Sensor, FrameOrder)>, sensor: Sensor) -> &mut FrameOrder {
+    let at = orders.iter().position(|(of, _)| *of == sensor);
+    let at = at.unwrap_or_else(|| {
+        orders.truncate(SENSORS_MAX - 1);
+        orders.push((sensor, FrameOrder::default()));
+        orders.len() - 1
+    });
+    &mut orders[at].1
+}
+
+/// Bytes of damaged frames that are checked and then searched for other frames: this many, and
+/// [`RESCANS`] times the bytes read. Only frames made to lie inside of each other reach it, whose
+/// checksums would cost the square of their length.
+const RESCAN_BYTES: u64 = 4 * FRAME_BYTES_MAX as u64;
+const RESCANS: u64 = 4;
+
+/// Reads frames; memory is bounded by the largest frame, work by the bytes read.
+pub struct FrameReader<R> {
+    source: R,
+    buffer: Vec<u8>,
+    /// Bytes of `buffer` used up.
+    start: usize,
+    /// Offset of `buffer[start]` in the source.
+    offset: u64,
+    in_damage: bool,
+    /// Bytes of all damaged frames that were searched.
+    rescanned: u64,
+    ended: bool,
+    /// That of the first frame, where frames of another one end the stream.
+    sensor: Option<Sensor>,
+    takes_all_sensors: bool,
+    /// Of each sensor's frames.
+    orders: Vec<(Sensor, FrameOrder)>,
+    report: LinkReport,
+}
+
+impl<R: Read> FrameReader<R> {
+    /// Frames of any source of bytes.
+    pub fn new(source: R) -> Self {
+        Self {
+            source,
+            buffer: Vec::new(),
+            start: 0,
+            offset: 0,
+            in_damage: false,
+            rescanned: 0,
+            ended: false,
+            sensor: None,
+            takes_all_sensors: false,
+            orders: Vec::new(),
+            report: LinkReport::default(),
+        }
+    }
+
+    /// Goes on where frames of another sensor come, whose numbers are others.
+    #[must_use]
+    pub fn of_all_sensors(self) -> Self {
+        Self {
+            takes_all_sensors: true,
+            ..self
+        }
+    }
+
+    /// The account so far.
+    #[must_use]
+    pub const fn report(&self) -> &LinkReport {
+        &self.report
+    }
+
+    /// Bytes used up so far.
+    #[must_use]
+    pub const fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// Counts a frame whose payload does not decode.
+    pub const fn count_refused(&mut self, refused: Refused) {
+        self.report.count_refused(refused);
+    }
+
+    /// The next frame, or `None` at the end of the source and where frames of another sensor begin: events of
+    /// two sensors are not mixed.
+    ///
+    /// # Errors
+    /// Only I/O: damage is reported by [`FrameReader::report`].
+    pub fn next_frame(&mut self) -> std::io::Result<Option<Located<'_>>> {
+        let (header, payload_start, bytes) = loop {
+            if self.report.other_sensor.is_some() {
+                return Ok(None);
+            }
+            match scan(&self.buffer[self.start..]) {
+                Scan::Frame(frame) => {
+                    let bytes = frame.bytes;
+                    let payload_start = self.start + bytes - frame.payload.len() - CRC_BYTES;
+                    let header = frame.header;
+                    let mut crc = [0; CRC_BYTES];
+                    let crc_start = payload_start + frame.payload.len();
+                    crc.copy_from_slice(&self.buffer[crc_start..crc_start + CRC_BYTES]);
+                    self.in_damage = false;
+                    let Sensor { width, height } = header.sensor;
+                    let sensor = *self.sensor.get_or_insert(header.sensor);
+                    if header.sensor != sensor && !self.takes_all_sensors {
+                        let other = (self.offset, format!("{width}x{height}"));
+                        self.report.other_sensor = Some(other);
+                        continue;
+                    }
+                    let order = order_of(&mut self.orders, header.sensor);
+                    if order.take(&header, crc, &mut self.report) {
+                        break (header, payload_start, bytes);
+                    }
+                    self.advance(bytes);
+                }
+                Scan::Damage {
+                    error: error @ FrameError::Damaged(bytes),
+                    skip,
+                } => {
+                    let rescanned = self.rescanned + u64::from(bytes);
+                    if rescanned <= RESCAN_BYTES + RESCANS * self.offset {
+                        self.rescanned = rescanned;
+                        self.skip(error, skip);
+                    } else {
+                        self.skip(error, bytes as usize);
+                    }
+                }
+                Scan::Damage { error, skip } => self.skip(error, skip),
+                Scan::Incomplete if self.ended => {
+                    let left = self.buffer.len() - self.start;
+                    if left == 0 {
+                        return Ok(None);
+                    }
+                    // The frame that seemed to begin here does not end: others may lie inside.
+                    self.skip(FrameError::Incomplete, 1);
+                }
+                Scan::Incomplete => self.fill()?,
+            }
+        };
+        let offset = self.offset;
+        self.advance(bytes);
+        let payload_end = self.start - CRC_BYTES;
+        let payload = &self.buffer[payload_start..payload_end];
+        let frame_bytes = &self.buffer[self.start - bytes..self.start];
+        Ok(Some(Located {
+            frame: Frame {
+                header,
+                payload,
+                bytes,
+            },
+            offset,
+            bytes: frame_bytes,
+            restarts: self.report.restarts,
+        }))
+    }
+
+    fn advance(&mut self, bytes: usize) {
+        self.start += bytes;
+        self.offset += bytes as u64;
+    }
+
+    fn skip(&mut self, error: FrameError, bytes: usize) {
+        if !self.in_damage {
+            self.in_damage = true;
+            self.report.damaged_runs += 1;
+            self.report
+                .first_damage
+                .get_or_insert_with(|| (self.offset, error.to_string()));
+        }
+        self.report.damaged_bytes += bytes as u64;
+        self.advance(bytes);
+    }
+
+    fn fill(&mut self) -> std::io::Result<()> {
+        // Moving what is left only when it is no more than what was used up keeps the copies
+        // linear, however little a read brings; `scan` asks for no more than FRAME_BYTES_MAX.
+        if self.start >= self.buffer.len() - self.start {
+            self.buffer.drain(..self.start);
+            self.start = 0;
+        }
+        let len = self.buffer.len();
+        self.buffer.resize(len + READ_BYTES, 0);
+        let read = loop {
+            match self.source.read(&mut self.buffer[len..]) {
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                result => break result,
+            }
+        };
+        self.buffer.truncate(len + *read.as_ref().unwrap_or(&0));
+        self.ended = read? == 0;
+        Ok(())
+    }
+}

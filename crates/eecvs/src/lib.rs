@@ -1,0 +1,46 @@
+//! The codec of event-camera volumes on a host: recordings to frames, and frames to events and volumes.
+//!
+//! ```text
+//! events -> encode -> frames -> decode -> events, coefficients, volumes
+//! ```
+//!
+//! ```no_run
+//! use std::fs::File;
+//!
+//! use eecvs::decode::{WindowEvents, WindowReader};
+//! use eecvs::frame_file::FrameReader;
+//! use eecvs::reconstruct::events::Finder;
+//!
+//! fn main() -> Result<(), eecvs::Error> {
+//!     let mut windows = WindowReader::new(FrameReader::new(File::open("recording.eecvs")?));
+//!     let mut events = WindowEvents::new(Finder::Exact);
+//!     while let Some(mut window) = windows.next_window()? {
+//!         events.fill(&mut window);
+//!         println!("{} us: {} events", window.header.t0_us, window.events.len());
+//!     }
+//!     println!("{} frames lost", windows.report().frames_lost);
+//!     Ok(())
+//! }
+//! ```
+//!
+//! [`encode`](encode::encode) takes any [`EventReader`](event_types::stream::EventReader) (a file of `event-files`, a
+//! camera, events in memory) and writes frames to anything that takes bytes; the frames are those that an encoder on a
+//! microcontroller writes. [`decode`](decode::decode) gives the windows back; [`reconstruct`] has what is in between:
+//! coefficients, exact event times, volumes. The feature `encode` is the encoder, and `thresholds` the thresholds of a
+//! calibration as a file; both are on by default, and a program that only decodes needs neither.
+
+pub mod calibrate;
+pub mod decode;
+pub mod density_series;
+#[cfg(feature = "encode")]
+pub mod encode;
+pub mod exact_density;
+pub mod frame_file;
+pub mod hot_pixels;
+pub mod reconstruct;
+pub mod storage;
+#[cfg(feature = "thresholds")]
+pub mod thresholds_file;
+pub mod window_counts;
+
+pub use event_types::stream::{Error, ErrorKind};

@@ -1,0 +1,323 @@
+//! Events from coefficients: the right number per pixel and polarity, at the times found.
+//!
+//! The counts are on the link, so what is sought are n times. For the DCT and the DTFT
+//! [`super::recover`] finds those that the coefficients determine, or, for comparison,
+//! [`super::pursuit`] the peaks of the summed atoms. The Haar coefficients are inverted to signed
+//! counts per bin, and events are dealt to the bins that miss them most.
+
+use eecvs_nostd::{Event, Header, Polarity, Transform};
+use rayon::prelude::*;
+
+use super::pursuit::{Peaks, Placed};
+use super::recover::{self, Confidence, Confidences};
+use super::refine::Work;
+use super::volume::inverse::Inverse;
+use super::{DecodedWindow, Pixel, order};
+
+/// How event times are found in the coefficients of the DCT and the DTFT.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Finder {
+    /// Solved for from all coefficients together, and verified by encoding them again.
+    #[default]
+    Exact,
+    /// Peaks of the summed atoms, one after the other: faster, and a baseline.
+    Peaks,
+}
+
+impl Finder {
+    /// Every way.
+    pub const ALL: [Self; 2] = [Self::Exact, Self::Peaks];
+
+    /// The name as the command line takes it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Exact => "exact",
+            Self::Peaks => "peaks",
+        }
+    }
+
+    /// One line about it.
+    #[must_use]
+    pub const fn about(self) -> &'static str {
+        match self {
+            Self::Exact => {
+                "Solved for from all coefficients together, and verified by encoding them again"
+            }
+            Self::Peaks => "Peaks of the summed atoms, one after the other: faster, and a baseline",
+        }
+    }
+
+    /// The way of a name, `None` where there is none.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|finder| finder.name() == name)
+    }
+}
+
+/// Decodes pixels of one transform, grid and M.
+#[derive(Debug)]
+pub struct EventDecoder {
+    transform: Transform,
+    grid: usize,
+    /// r = min(M, K).
+    kept: usize,
+    finder: Finder,
+    way: Way,
+}
+
+/// From coefficients to times.
+#[derive(Debug)]
+enum Way {
+    /// Of the DCT and the DTFT.
+    Peaks(Peaks),
+    /// Haar synthesis on K bins.
+    Bins(Inverse),
+}
+
+impl EventDecoder {
+    /// Tables for windows of these shapes.
+    #[must_use]
+    pub fn new(transform: Transform, grid: u16, m: u8, finder: Finder) -> Self {
+        let kept = usize::from(m).min(usize::from(grid));
+        let way = if transform == Transform::Dwt {
+            Way::Bins(Inverse::new(transform, grid, usize::from(grid)))
+        } else {
+            Way::Peaks(Peaks::new(transform, usize::from(grid), kept))
+        };
+        Self {
+            transform,
+            grid: usize::from(grid),
+            kept,
+            finder,
+            way,
+        }
+    }
+
+    /// Whether the tables fit a window.
+    #[must_use]
+    pub fn fits(&self, window: &DecodedWindow) -> bool {
+        let header = &window.header;
+        self.transform == header.transform
+            && self.grid == usize::from(header.grid)
+            && self.kept == usize::from(header.m).min(self.grid)
+    }
+
+    /// A window's events, ordered by time, row and column.
+    #[must_use]
+    pub fn window(&self, window: &DecodedWindow) -> Vec<Event> {
+        self.window_with_confidence(window).0
+    }
+
+    /// A window's events, ordered by time, row and column, and how sure the times of its pixels are:
+    /// of pixels of coefficients alone.
+    #[must_use]
+    pub fn window_with_confidence(&self, window: &DecodedWindow) -> (Vec<Event>, Confidences) {
+        if !window.events.is_empty() {
+            let events = order::by_time(&window.header, &window.events);
+            return (events, Confidences::default());
+        }
+        let header = &window.header;
+        let (mut events, confidences) = window
+            .pixels
+            .par_iter()
+            .with_min_len(16)
+            .fold(
+                || (Vec::new(), Confidences::default(), Work::default()),
+                |(mut events, mut confidences, mut work), pixel| {
+                    let confidence = self.pixel(header, pixel, &mut work, |offset_us, is_on| {
+                        events.push(Event {
+                            t_us: header.t0_us.saturating_add(u64::from(offset_us)),
+                            x: pixel.x,
+                            y: pixel.y,
+                            polarity: Polarity::from_bool(is_on),
+                        });
+                    });
+                    confidences.count(confidence);
+                    (events, confidences, work)
+                },
+            )
+            .map(|(events, confidences, _)| (events, confidences))
+            .reduce(
+                Default::default,
+                |(mut events, mut confidences), (more, others)| {
+                    events.extend(more);
+                    confidences.add(others);
+                    (events, confidences)
+                },
+            );
+        events.par_sort_unstable_by_key(|event| (event.t_us, event.y, event.x, event.polarity));
+        (events, confidences)
+    }
+
+    /// Calls `each` with the offset, below T, and the polarity of a pixel's events: `on` of ON and
+    /// `off` of OFF, in no order.
+    pub fn pixel(
+        &self,
+        header: &Header,
+        pixel: &Pixel,
+        work: &mut Work,
+        mut each: impl FnMut(u32, bool),
+    ) -> Confidence {
+        let placed = match &self.way {
+            Way::Peaks(peaks) if self.finder == Finder::Exact => {
+                let found = recover::pixel(header, peaks, pixel, work);
+                let polarities = (0..).map(|i| i < pixel.on as usize);
+                for (offset_us, is_on) in found.offsets_us.into_iter().zip(polarities) {
+                    each(offset_us, is_on);
+                }
+                return found.confidence;
+            }
+            Way::Peaks(peaks) => placed_single(pixel).unwrap_or_else(|| peaks.pixel(pixel)),
+            Way::Bins(bins) => {
+                placed_single(pixel).unwrap_or_else(|| self.deal_to_bins(bins, pixel))
+            }
+        };
+        let duration_us = f64::from(header.duration_us);
+        for (u, sign) in placed {
+            let offset_us = (u * duration_us).round().clamp(0.0, duration_us - 1.0);
+            each(offset_us as u32, sign > 0.0);
+        }
+        Confidence::Approximate
+    }
+
+    /// Deals a pixel's events to the bins whose signed count they fit best.
+    fn deal_to_bins(&self, bins: &Inverse, pixel: &Pixel) -> Vec<Placed> {
+        let mut missing: Vec<f64> = (0..self.grid).map(|bin| bins.value(pixel, bin)).collect();
+        let mut dealt = Vec::with_capacity((pixel.on + pixel.off) as usize);
+        let mut held = vec![0_u32; self.grid];
+        let (mut on, mut off) = (pixel.on, pixel.off);
+        while on + off > 0 {
+            let (most_on, most_off) = (plateau(&missing, 1.0), plateau(&missing, -1.0));
+            let is_on = off == 0 || (on > 0 && missing[most_on] >= -missing[most_off]);
+            let (bin, sign) = if is_on {
+                (most_on, 1.0)
+            } else {
+                (most_off, -1.0)
+            };
+            if is_on {
+                on -= 1;
+            } else {
+                off -= 1;
+            }
+            missing[bin] -= sign;
+            held[bin] += 1;
+            dealt.push((bin, sign));
+        }
+        // Events of one bin are spread over it.
+        let mut placed_in = vec![0_u32; self.grid];
+        dealt
+            .into_iter()
+            .map(|(bin, sign)| {
+                let within = (f64::from(placed_in[bin]) + 0.5) / f64::from(held[bin]);
+                placed_in[bin] += 1;
+                ((bin as f64 + within) / self.grid as f64, sign)
+            })
+            .collect()
+    }
+}
+
+/// The event of a pixel that has one alone: the frame tells its time.
+fn placed_single(pixel: &Pixel) -> Option<Vec<Placed>> {
+    let sign = if pixel.on > 0 { 1.0 } else { -1.0 };
+    pixel.single_u.map(|u| vec![(u, sign)])
+}
+
+/// Middle of the first run of bins where `sign` * value is largest: pruning leaves runs of equal
+/// values, whose middle is the best guess.
+fn plateau(values: &[f64], sign: f64) -> usize {
+    let most = values
+        .iter()
+        .fold(f64::NEG_INFINITY, |most, value| most.max(sign * value));
+    let is_most = |value: &f64| sign * value >= most - 1e-9;
+    let start = values.iter().position(is_most).unwrap_or(0);
+    let len = values[start..]
+        .iter()
+        .take_while(|value| is_most(value))
+        .count();
+    start + len.saturating_sub(1) / 2
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+    use crate::reconstruct::test_header::header;
+
+    fn peaks(transform: Transform) -> EventDecoder {
+        EventDecoder::new(transform, 16, 16, Finder::Peaks)
+    }
+
+    /// Of one OFF event.
+    fn coefficients(u: f64) -> Vec<(u16, f64, f64)> {
+        let of = |k: u16| {
+            let (sin, cos) = (TAU * f64::from(k) * u).sin_cos();
+            (k, -cos, sin)
+        };
+        (0..16).map(of).collect()
+    }
+
+    #[test]
+    fn times_are_rounded_to_the_nearest_microsecond() {
+        let (decoder, duration_us) = (peaks(Transform::Dtft), 1000);
+        for offset_us in (0..duration_us).step_by(37).chain([duration_us - 1]) {
+            let u = f64::from(offset_us) / f64::from(duration_us);
+            let window = DecodedWindow {
+                header: header(duration_us),
+                pixels: vec![Pixel {
+                    x: 3,
+                    y: 1,
+                    on: 0,
+                    off: 1,
+                    coefficients: coefficients(u),
+                    single_u: None,
+                }],
+                events: vec![],
+            };
+            let event = Event {
+                t_us: 5000 + u64::from(offset_us),
+                x: 3,
+                y: 1,
+                polarity: Polarity::Off,
+            };
+            assert_eq!(decoder.window(&window), [event]);
+        }
+    }
+
+    #[test]
+    fn counts_are_kept_whatever_the_coefficients_say() {
+        let header = header(1000);
+        for (transform, finder) in Transform::ALL
+            .into_iter()
+            .flat_map(|transform| [(transform, Finder::Exact), (transform, Finder::Peaks)])
+        {
+            let decoder = EventDecoder::new(transform, 16, 8, finder);
+            for (on, off) in [(3, 0), (0, 5), (40, 2), (70, 30)] {
+                let pixel = Pixel {
+                    x: 0,
+                    y: 0,
+                    on,
+                    off,
+                    coefficients: vec![(3, 1.0, 2.0)],
+                    single_u: None,
+                };
+                let header = Header {
+                    transform,
+                    m: 8,
+                    ..header
+                };
+                let (mut found_on, mut found_off) = (0, 0);
+                decoder.pixel(&header, &pixel, &mut Work::default(), |offset_us, is_on| {
+                    assert!(offset_us < 1000);
+                    if is_on {
+                        found_on += 1;
+                    } else {
+                        found_off += 1;
+                    }
+                });
+                assert_eq!((found_on, found_off), (on, off));
+            }
+        }
+    }
+}

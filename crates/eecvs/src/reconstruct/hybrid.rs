@@ -1,0 +1,326 @@
+//! Events of hybrid frames.
+
+use eecvs_nostd::coder::bits_msb_first::BigReader;
+use eecvs_nostd::coder::content::{Content, END, Node};
+use eecvs_nostd::coder::dense::model::Model;
+use eecvs_nostd::coder::dense::{Dense, DenseMemory, words};
+use eecvs_nostd::coder::fast::Fast;
+use eecvs_nostd::coder::range::RangeDecoder;
+use eecvs_nostd::{
+    Coder, Config, Event, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push, Sensor,
+    Thresholds, Times, WindowConfig,
+};
+use event_types::ensure;
+use event_types::stream::{Context, Result};
+
+use super::{DecodedWindow, Pixel, pixels};
+use crate::storage::HostStorage;
+
+/// Why a hybrid frame has no events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refused {
+    /// Its payload contradicts its header.
+    Malformed,
+    /// It goes on from a frame that did not come.
+    Dependent,
+}
+
+/// Decodes hybrid frames in the order in which they come.
+#[derive(Debug, Default)]
+pub struct HybridDecoder {
+    chain: Option<Chain>,
+    nodes: Vec<Node>,
+    positions: Vec<(u16, u16)>,
+    /// Memory for the next frame's events.
+    spare: Vec<Event>,
+}
+
+/// What the dense coder knows after a frame.
+#[derive(Debug)]
+pub(super) struct Chain {
+    pub(super) sensor: Sensor,
+    pub(super) model: Box<Model>,
+    pub(super) words: Vec<u32>,
+    /// Number of the frame that goes on from here.
+    pub(super) next: u32,
+}
+
+impl Chain {
+    pub(super) fn new(sensor: Sensor) -> Self {
+        Self {
+            sensor,
+            model: Box::new(Model::UNSET),
+            words: vec![0; words(sensor, true)],
+            next: 0,
+        }
+    }
+
+    /// The chain that a frame goes on from: `before`, or of a key frame any.
+    ///
+    /// # Errors
+    /// [`Refused::Dependent`].
+    pub(super) fn of(before: Option<Self>, header: &Header) -> Result<Self, Refused> {
+        let before = before.filter(|chain| chain.sensor == header.sensor);
+        if header.is_key {
+            Ok(before.unwrap_or_else(|| Self::new(header.sensor)))
+        } else {
+            before
+                .filter(|chain| chain.next == header.sequence)
+                .ok_or(Refused::Dependent)
+        }
+    }
+}
+
+impl HybridDecoder {
+    /// Takes memory of events back.
+    pub fn reuse(&mut self, events: Vec<Event>) {
+        if self.spare.capacity() < events.capacity() {
+            self.spare = events;
+        }
+    }
+
+    /// A frame's events, in raster order.
+    ///
+    /// # Errors
+    /// [`Refused`]; nothing of the frame is returned then.
+    pub fn frame(&mut self, frame: &Frame<'_>, hybrid: Hybrid) -> Result<Vec<Event>, Refused> {
+        let header = &frame.header;
+        let (payload, _) = frame.sections();
+        let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
+        match hybrid.coder {
+            Coder::Fast => fast(header, payload, times, std::mem::take(&mut self.spare)),
+            // What tells the order alone is nothing to the coder.
+            Coder::Dense if header.order.is_some() && header.events == 0 => {
+                self.pass(header, payload)
+            }
+            Coder::Dense => self.dense(header, payload, times),
+        }
+    }
+
+    /// A frame without events that the next one goes on from.
+    fn pass(&mut self, header: &Header, payload: &[u8]) -> Result<Vec<Event>, Refused> {
+        let chain = self.chain.take();
+        let chain = chain.filter(|chain| chain.next == header.sequence);
+        let chain = chain.ok_or(Refused::Dependent)?;
+        if !payload.is_empty() {
+            return Err(Refused::Malformed);
+        }
+        let next = header.sequence.wrapping_add(1);
+        self.chain = Some(Chain { next, ..chain });
+        Ok(Vec::new())
+    }
+
+    fn dense(
+        &mut self,
+        header: &Header,
+        payload: &[u8],
+        times: Times,
+    ) -> Result<Vec<Event>, Refused> {
+        let mut chain = Chain::of(self.chain.take(), header)?;
+        let mut memory = DenseMemory {
+            model: &mut chain.model,
+            words: &mut chain.words,
+        };
+        let mut dense = Dense::with_previous(header.sensor, header.has_previous, &mut memory)
+            .ok_or(Refused::Malformed)?;
+        if header.is_key {
+            dense.restart();
+        }
+        self.nodes.clear();
+        self.positions.clear();
+        let mut content = Found {
+            nodes: &mut self.nodes,
+            positions: &mut self.positions,
+            position: (0, 0),
+            is_first: true,
+            left: header.events,
+        };
+        let mut reader = RangeDecoder::new(payload);
+        let coded = dense.code(&mut reader, &mut content, times);
+        // An encoder that ran out of room has written more than what counts.
+        let is_whole = coded.events == header.events && !reader.is_beyond();
+        if !is_whole || (header.last && !reader.is_spent()) {
+            return Err(Refused::Malformed);
+        }
+        chain.next = header.sequence.wrapping_add(1);
+        self.chain = Some(chain);
+        let mut events = std::mem::take(&mut self.spare);
+        events.clear();
+        let found = self.positions.iter().zip(&self.nodes);
+        events.extend(
+            found.map(|(position, node)| event(header, times, *position, node.cell, node.on)),
+        );
+        Ok(events)
+    }
+}
+
+fn event(header: &Header, times: Times, (x, y): (u16, u16), told: u32, on: bool) -> Event {
+    let offset_us = times.offset_us((x, y), told);
+    Event {
+        t_us: header.t0_us.saturating_add(u64::from(offset_us)),
+        x,
+        y,
+        polarity: Polarity::from_bool(on),
+    }
+}
+
+/// The fast coder's events, in the memory of `events`.
+fn fast(
+    header: &Header,
+    payload: &[u8],
+    times: Times,
+    events: Vec<Event>,
+) -> Result<Vec<Event>, Refused> {
+    if times.are_plain() {
+        fast_at(header, payload, times, events, |_, cell| cell)
+    } else {
+        let offset_us = |at, cell| times.offset_us(at, cell);
+        fast_at(header, payload, times, events, offset_us)
+    }
+}
+
+/// The same, with the offsets that `offset_us` finds.
+fn fast_at(
+    header: &Header,
+    payload: &[u8],
+    times: Times,
+    mut events: Vec<Event>,
+    offset_us: impl Fn((u16, u16), u32) -> u32,
+) -> Result<Vec<Event>, Refused> {
+    let coder = Fast::new(header.sensor, header.window_events, times.count());
+    let mut reader = BigReader::new(payload);
+    // An event takes a bit at the least: so much and no more is believed before it is read.
+    let believed = payload.len().saturating_mul(8).min(header.events as usize);
+    events.clear();
+    events.reserve(believed);
+    let each = |(x, y), cell, on| {
+        // Always so; without a way on which they grow, their length stays in a register.
+        if events.len() < events.capacity() {
+            let offset_us = offset_us((x, y), cell);
+            events.push(Event {
+                t_us: header.t0_us.saturating_add(u64::from(offset_us)),
+                x,
+                y,
+                polarity: Polarity::from_bool(on),
+            });
+        }
+    };
+    match coder.read(header.events, &mut reader, each) {
+        Ok(()) if reader.is_spent() && events.len() == header.events as usize => Ok(events),
+        _ => Err(Refused::Malformed),
+    }
+}
+
+/// The dense coder's events as they are found.
+struct Found<'d> {
+    nodes: &'d mut Vec<Node>,
+    positions: &'d mut Vec<(u16, u16)>,
+    position: (u16, u16),
+    is_first: bool,
+    left: u32,
+}
+
+impl Content for Found<'_> {
+    fn has_row(&mut self, _: u16) -> bool {
+        false
+    }
+
+    fn has_segment(&mut self, _segment: u16, _y: u16) -> bool {
+        false
+    }
+
+    fn columns(&mut self) -> u32 {
+        0
+    }
+
+    fn enter(&mut self, position: (u16, u16)) -> u32 {
+        self.position = position;
+        self.is_first = true;
+        self.nodes.len() as u32
+    }
+
+    fn is_more(&self) -> bool {
+        false
+    }
+
+    fn peek(&self) -> (u32, bool) {
+        (0, false)
+    }
+
+    fn take(&mut self, cell: u32, on: bool) {
+        let next = self.nodes.len() as u32;
+        if !self.is_first
+            && let Some(before) = self.nodes.last_mut()
+        {
+            before.next = next;
+        }
+        self.is_first = false;
+        self.nodes.push(Node {
+            cell,
+            on,
+            next: END,
+        });
+        self.positions.push(self.position);
+        self.left -= 1;
+    }
+
+    fn is_over(&self) -> bool {
+        self.left == 0
+    }
+
+    fn at(&self, list: u32) -> Option<Node> {
+        self.nodes.get(list as usize).copied()
+    }
+}
+
+impl DecodedWindow {
+    /// The window's kept coefficients: those of the frame or, where events came, those that the
+    /// encoder would have sent for them, to the bit.
+    ///
+    /// # Errors
+    /// A window that the encoder does not take.
+    pub fn with_pixels(&self) -> Result<Self> {
+        if self.header.mode.is_transform() {
+            return Ok(self.clone());
+        }
+        let header = &self.header;
+        let config = Config {
+            transform: Some(header.transform),
+            m: header.m,
+            grid: Some(header.grid),
+            quantiser: header.quantiser,
+            key_windows: 1,
+            ..Config::new(
+                WindowConfig::new(header.sensor, header.duration_us),
+                Thresholds::new(0, 0).context("thresholds of 0")?,
+                Mode::Transform,
+            )
+        };
+        let mut storage = HostStorage::new(header.sensor, self.events.len().max(1));
+        let mut encoder = storage.encoder(config)?;
+        encoder.window().follow(NextStart::at(header.t0_us));
+        for event in &self.events {
+            let push = encoder.push(*event);
+            ensure!(
+                push == Push::Stored,
+                Refused,
+                "an event is outside of its window"
+            );
+        }
+        encoder.flush();
+        let mut out = vec![0; eecvs_nostd::FRAME_BYTES_MAX];
+        let mut found: Vec<Pixel> = Vec::new();
+        while let Some(encoded) = encoder.next_frame(&mut out).ok().flatten() {
+            let frame = Frame::parse(&out[encoded.range]).context("a frame made here")?;
+            found.extend(pixels(&frame).context("a frame made here")?);
+        }
+        Ok(Self {
+            header: Header {
+                mode: Mode::Transform,
+                ..*header
+            },
+            pixels: found,
+            events: Vec::new(),
+        })
+    }
+}

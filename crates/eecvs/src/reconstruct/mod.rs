@@ -1,0 +1,157 @@
+//! Descriptors back to coefficients, volumes and events.
+
+pub mod arrival;
+pub mod coefficients;
+pub mod crowd;
+pub mod ensemble;
+pub mod equations;
+pub mod events;
+pub mod hybrid;
+pub mod lattice;
+pub mod order;
+pub mod prony;
+pub mod pursuit;
+pub mod recover;
+pub mod refine;
+#[cfg(test)]
+mod test_header;
+#[cfg(test)]
+mod test_pixel;
+pub mod volume;
+
+use eecvs_nostd::{Descriptor, Event, Frame, Header, UnpackError};
+
+/// One pixel's dequantised coefficients.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pixel {
+    /// Column.
+    pub x: u16,
+    /// Row.
+    pub y: u16,
+    /// ON events.
+    pub on: u32,
+    /// OFF events.
+    pub off: u32,
+    /// (k, re, im) of the kept coefficients, k ascending.
+    pub coefficients: Vec<(u16, f64, f64)>,
+    /// u of the pixel's event, where there is one alone: the frame tells it.
+    pub single_u: Option<f64>,
+}
+
+impl Pixel {
+    /// c_0: ON minus OFF events.
+    #[must_use]
+    pub fn net(&self) -> f64 {
+        f64::from(self.on) - f64::from(self.off)
+    }
+
+    /// Dequantises a descriptor. c_0 = on - off is not rounded to a step.
+    #[must_use]
+    pub fn dequantise(header: &Header, descriptor: &Descriptor) -> Self {
+        let packing = header.packing();
+        let mut coefficients = Vec::with_capacity(packing.kept());
+        descriptor.dequantise(&packing, |k, re, im| coefficients.push((k, re, im)));
+        Self {
+            x: descriptor.x,
+            y: descriptor.y,
+            on: descriptor.on,
+            off: descriptor.off,
+            coefficients,
+            single_u: descriptor.single_u(&packing),
+        }
+    }
+}
+
+/// All pixels of a frame.
+///
+/// # Errors
+/// A payload that contradicts its header; nothing of the frame is returned then.
+pub fn pixels(frame: &Frame<'_>) -> Result<Vec<Pixel>, UnpackError> {
+    frame
+        .descriptors()
+        .map(|descriptor| Ok(Pixel::dequantise(&frame.header, &descriptor?)))
+        .collect()
+}
+
+/// One window put together from its frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DecodedWindow {
+    /// Header of its first frame that came.
+    pub header: Header,
+    /// Pixels of all its frames that came, of each frame in raster order; none in mode `hybrid`.
+    pub pixels: Vec<Pixel>,
+    /// In mode `hybrid` the events instead, of each frame in raster order, or all in the order of time and
+    /// arrival where the frames tell it.
+    pub events: Vec<Event>,
+}
+
+impl DecodedWindow {
+    /// Whether `header` belongs to this window too.
+    #[must_use]
+    pub fn has_part(&self, header: &Header) -> bool {
+        same_window(&self.header, header)
+    }
+
+    /// Channels of its coefficient volume: K, or 2K for complex coefficients.
+    #[must_use]
+    pub fn channels(&self) -> usize {
+        let grid = usize::from(self.header.grid);
+        if self.header.transform.is_complex() {
+            2 * grid
+        } else {
+            grid
+        }
+    }
+}
+
+/// Whether the frame of `header` belongs to the window of `earlier`, a frame before it.
+#[must_use]
+pub fn same_window(earlier: &Header, header: &Header) -> bool {
+    let window = |h: &Header| (h.t0_us, h.duration_us, h.packing());
+    // Parts count up: windows that share a start are told apart by it.
+    window(earlier) == window(header) && header.part > 0
+}
+
+/// 2^(j/2) of Haar coefficient k = 2^j + m, and its support [start, end) in units of u.
+pub(crate) fn haar_support(k: u16) -> (f64, f64, f64) {
+    if k == 0 {
+        return (1.0, 0.0, 1.0);
+    }
+    let scale = k.ilog2();
+    let width = 0.5_f64.powi(scale as i32);
+    let start = f64::from(k - (1 << scale)) * width;
+    ((1.0 / width).sqrt(), start, start + width)
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_nostd::{Coded, Level, Transform};
+
+    use super::*;
+
+    #[test]
+    fn c_0_is_the_counts_whatever_the_step() {
+        for transform in Transform::ALL {
+            let header = Header {
+                transform,
+                ..test_header::header(1000)
+            };
+            let levels = [(0, 11), (4, 2)].map(|(k, re)| Level { k, re, im: 0 });
+            let descriptor = Descriptor {
+                on: 13,
+                off: 2,
+                coded: Coded::Levels(levels.into_iter().collect()),
+                ..Descriptor::EMPTY
+            };
+            // The middle of the step from 16 to 24, and of that from 0 to 8; 2 steps of the Haar
+            // scale of k = 4 are 2 * 4 * 2.
+            let expected = match transform {
+                Transform::Dct => (4, 20.0, 0.0),
+                Transform::Dtft => (4, 20.0, 4.0),
+                Transform::Dwt => (4, 16.0, 0.0),
+            };
+            let pixel = Pixel::dequantise(&header, &descriptor);
+            assert_eq!(pixel.coefficients, [(0, 11.0, 0.0), expected]);
+        }
+    }
+}

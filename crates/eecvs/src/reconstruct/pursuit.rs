@@ -1,0 +1,396 @@
+//! Event times by matching pursuit: peaks of the summed atoms, one after the other.
+//!
+//! The counts are on the link, so what is sought are n times. They are found one by one with known
+//! amplitudes: an event p at u explains the residual c best where
+//!
+//! ```text
+//! J(u) = p sum_k Re(c_k conj(phi_k(u))) - sum_k |phi_k(u)|^2 / 2
+//! ```
+//!
+//! is largest; the peak on a grid of four points per half-period of the highest frequency is
+//! polished by Newton steps, and small pixels go through further rounds in which each event is
+//! taken out and placed anew. [`Peaks::refined`] moves all of them after each, by least squares.
+//!
+//! Mallat, Zhang: *Matching pursuits with time-frequency dictionaries*, IEEE Trans. Signal
+//! Processing 41 (1993).
+
+use eecvs_nostd::Transform;
+
+use super::Pixel;
+use super::equations::Equations;
+use super::refine::{Work, least_squares};
+
+/// Grid points per atom: four in each half-period of the highest one.
+const POINTS_PER_ATOM: usize = 4;
+/// Newton steps of a polish.
+const NEWTON_STEPS: usize = 12;
+/// Rounds in which every event is placed anew.
+const ROUNDS: usize = 3;
+/// Pixels with more events are not placed anew: the rounds would cost more than they mend.
+const ROUNDS_EVENTS_MAX: usize = 16;
+
+/// Rounds of least squares after each event.
+const PARTIAL_ROUNDS: usize = 6;
+
+/// A decoded event of a pixel: u and p.
+pub type Placed = (f64, f64);
+
+/// Finds the events of pixels of one transform, grid and M by their peaks.
+#[derive(Debug)]
+pub struct Peaks {
+    transform: Transform,
+    grid: usize,
+    /// r = min(M, K).
+    kept: usize,
+    /// Points of the search grid.
+    points: usize,
+    /// phi_k(point), as re and im: [point * grid + k].
+    atoms_re: Vec<f32>,
+    atoms_im: Vec<f32>,
+    /// sum_k |phi_k|^2 / 2 of the DCT at each point.
+    half_energy: Vec<f32>,
+}
+
+impl Peaks {
+    /// Tables for the DCT or the DTFT of K = `grid`, of which `kept` coefficients are sent.
+    #[must_use]
+    pub fn new(transform: Transform, grid: usize, kept: usize) -> Self {
+        let points = (POINTS_PER_ATOM * grid).max(64);
+        let mut peaks = Self {
+            transform,
+            grid,
+            kept,
+            points,
+            atoms_re: Vec::with_capacity(points * grid),
+            atoms_im: Vec::with_capacity(points * grid),
+            half_energy: Vec::with_capacity(points),
+        };
+        for point in 0..points {
+            let u = (point as f64 + 0.5) / points as f64;
+            let mut energy = 0.0;
+            for k in 0..grid {
+                let angle = peaks.omega(k) * u;
+                peaks.atoms_re.push(angle.cos() as f32);
+                peaks.atoms_im.push(-angle.sin() as f32);
+                if k > 0 && k < kept {
+                    energy += angle.cos().powi(2);
+                }
+            }
+            peaks.half_energy.push((energy / 2.0) as f32);
+        }
+        peaks
+    }
+
+    /// u and p of a pixel's events: `on` of +1 and `off` of -1, in no order.
+    #[must_use]
+    pub fn pixel(&self, pixel: &Pixel) -> Vec<Placed> {
+        Pursuit::new(self, pixel).run(pixel.on, pixel.off, ROUNDS_EVENTS_MAX)
+    }
+
+    /// As [`Self::pixel`], the times alone, those of the ON events first; with the further rounds
+    /// whatever the number of events is.
+    #[must_use]
+    pub fn times(&self, pixel: &Pixel) -> Vec<f64> {
+        let placed = Pursuit::new(self, pixel).run(pixel.on, pixel.off, usize::MAX);
+        on_first(&placed)
+    }
+
+    /// As [`Self::times`], but after each event all that are placed so far move to where they explain
+    /// the coefficients best together: neighbours that one peak stands for part at once, and what
+    /// is left has no side lobes of theirs.
+    #[must_use]
+    pub fn refined(&self, pixel: &Pixel, equations: &Equations, work: &mut Work) -> Vec<f64> {
+        let mut partial = equations.clone();
+        partial.signs.clear();
+        let mut pursuit = Pursuit::new(self, pixel);
+        let whole = (pursuit.re.clone(), pursuit.im.clone());
+        let (mut on, mut off) = (pixel.on, pixel.off);
+        let mut times: Vec<f64> = Vec::new();
+        while on + off > 0 {
+            let (u, sign) = pursuit.best(on > 0, off > 0);
+            if sign > 0.0 {
+                on -= 1;
+            } else {
+                off -= 1;
+            }
+            times.push(u);
+            partial.signs.push(sign);
+            least_squares(&partial, &mut times, PARTIAL_ROUNDS, work);
+            pursuit.re.clone_from(&whole.0);
+            pursuit.im.clone_from(&whole.1);
+            for (u, sign) in times.iter().zip(&partial.signs) {
+                pursuit.add((*u, *sign), -1.0);
+            }
+        }
+        let placed: Vec<Placed> = times.into_iter().zip(partial.signs).collect();
+        on_first(&placed)
+    }
+
+    /// Angle per u of atom k.
+    fn omega(&self, k: usize) -> f64 {
+        omega(self.transform) * k as f64
+    }
+}
+
+/// The times of ON events, then those of OFF ones.
+fn on_first(placed: &[Placed]) -> Vec<f64> {
+    let of = |is_on: bool| {
+        placed
+            .iter()
+            .filter(move |(_, sign)| (*sign > 0.0) == is_on)
+    };
+    of(true).chain(of(false)).map(|(u, _)| *u).collect()
+}
+
+/// Angle per u of atom k = 1: pi of the DCT, 2 pi of the DTFT.
+pub(super) fn omega(transform: Transform) -> f64 {
+    match transform {
+        Transform::Dct => std::f64::consts::PI,
+        Transform::Dtft | Transform::Dwt => std::f64::consts::TAU,
+    }
+}
+
+/// Matching pursuit of one pixel.
+struct Pursuit<'d> {
+    peaks: &'d Peaks,
+    /// Indices of the known coefficients, ascending; k = 0 tells nothing of times.
+    known: Vec<usize>,
+    /// What the events placed so far leave of the coefficients.
+    re: Vec<f32>,
+    im: Vec<f32>,
+}
+
+impl<'d> Pursuit<'d> {
+    fn new(peaks: &'d Peaks, pixel: &Pixel) -> Self {
+        let mut re = vec![0.0; peaks.grid];
+        let mut im = vec![0.0; peaks.grid];
+        for (k, of_re, of_im) in &pixel.coefficients {
+            (re[usize::from(*k)], im[usize::from(*k)]) = (*of_re as f32, *of_im as f32);
+        }
+        let known = if peaks.transform == Transform::Dct {
+            // The DCT keeps every k < r: a coefficient that was not sent is known to be 0.
+            (1..peaks.kept).collect()
+        } else {
+            let sent = pixel.coefficients.iter().map(|(k, ..)| usize::from(*k));
+            sent.filter(|k| *k > 0).collect()
+        };
+        (re[0], im[0]) = (0.0, 0.0);
+        Self {
+            peaks,
+            known,
+            re,
+            im,
+        }
+    }
+
+    /// One more than the highest known k.
+    fn limit(&self) -> usize {
+        self.known.last().map_or(0, |k| k + 1)
+    }
+
+    /// sum_k a_k b_k over the known coefficients, of which the others of `a` are 0.
+    fn dot_known(&self, a: &[f32], b: &[f32]) -> f32 {
+        let limit = self.limit();
+        // A few of a large grid are picked out; else all are faster in vector registers.
+        if limit > 8 * self.known.len() {
+            self.known.iter().map(|k| a[*k] * b[*k]).sum()
+        } else {
+            dot(&a[..limit], &b[..limit])
+        }
+    }
+
+    fn run(mut self, mut on: u32, mut off: u32, rounds_events_max: usize) -> Vec<Placed> {
+        let mut placed = Vec::with_capacity((on + off) as usize);
+        while on + off > 0 {
+            let event = self.best(on > 0, off > 0);
+            if event.1 > 0.0 {
+                on -= 1;
+            } else {
+                off -= 1;
+            }
+            self.add(event, -1.0);
+            placed.push(event);
+        }
+        if placed.len() > 1 && placed.len() <= rounds_events_max {
+            for _ in 0..ROUNDS {
+                for event in &mut placed {
+                    self.add(*event, 1.0);
+                    *event = self.best(event.1 > 0.0, event.1 < 0.0);
+                    self.add(*event, -1.0);
+                }
+            }
+        }
+        placed
+    }
+
+    /// Adds `factor` times an event's atoms to the residual.
+    fn add(&mut self, (u, sign): Placed, factor: f64) {
+        let step = self.peaks.omega(1) * u;
+        let (sin, cos) = step.sin_cos();
+        let (mut atom_re, mut atom_im) = (1.0, 0.0);
+        let complex = self.peaks.transform.is_complex();
+        let mut known = self.known.iter().peekable();
+        for k in 0..self.limit() {
+            if known.next_if_eq(&&k).is_some() {
+                self.re[k] += (factor * sign * atom_re) as f32;
+                if complex {
+                    self.im[k] -= (factor * sign * atom_im) as f32;
+                }
+            }
+            (atom_re, atom_im) = (atom_re * cos - atom_im * sin, atom_re * sin + atom_im * cos);
+        }
+    }
+
+    /// The event that explains the residual best.
+    fn best(&self, may_be_on: bool, may_be_off: bool) -> Placed {
+        let peaks = self.peaks;
+        let mut best = (f32::NEG_INFINITY, 0, 1.0);
+        for point in 0..peaks.points {
+            let atoms = point * peaks.grid..(point + 1) * peaks.grid;
+            let mut correlation: f32 = self.dot_known(&self.re, &peaks.atoms_re[atoms.clone()]);
+            let mut half_energy = 0.0;
+            if peaks.transform.is_complex() {
+                correlation += self.dot_known(&self.im, &peaks.atoms_im[atoms]);
+            } else {
+                half_energy = peaks.half_energy[point];
+            }
+            if may_be_on && correlation - half_energy > best.0 {
+                best = (correlation - half_energy, point, 1.0);
+            }
+            if may_be_off && -correlation - half_energy > best.0 {
+                best = (-correlation - half_energy, point, -1.0);
+            }
+        }
+        let (_, point, sign) = best;
+        let u = (point as f64 + 0.5) / peaks.points as f64;
+        (self.polish(u, sign), sign)
+    }
+
+    /// Newton steps on J from a grid point, staying within its cell and the two beside it.
+    fn polish(&self, start: f64, sign: f64) -> f64 {
+        let reach = 1.0 / self.peaks.points as f64;
+        let mut u = start;
+        for _ in 0..NEWTON_STEPS {
+            let (slope, curvature) = self.derivatives(u, sign);
+            if curvature >= 0.0 {
+                break;
+            }
+            let next = (u - slope / curvature)
+                .clamp(start - reach, start + reach)
+                .clamp(0.0, 1.0);
+            let moved = (next - u).abs();
+            u = next;
+            if moved < 1e-9 {
+                break;
+            }
+        }
+        u
+    }
+
+    /// J' and J''.
+    fn derivatives(&self, u: f64, sign: f64) -> (f64, f64) {
+        let base = self.peaks.omega(1);
+        let complex = self.peaks.transform.is_complex();
+        let (sin_1, cos_1) = (base * u).sin_cos();
+        let (mut cos, mut sin) = (1.0, 0.0);
+        let (mut slope, mut curvature) = (0.0, 0.0);
+        // What is not known adds nothing: k = 0 has omega = 0, the DCT knows all others, and
+        // re = im = 0 for those that the DTFT does not know.
+        for k in 0..self.limit() {
+            let omega = base * k as f64;
+            let (re, im) = (f64::from(self.re[k]), f64::from(self.im[k]));
+            if complex {
+                // Re(c conj(phi)) = re cos - im sin
+                slope -= sign * omega * (re * sin + im * cos);
+                curvature -= sign * omega * omega * (re * cos - im * sin);
+            } else {
+                // p c cos - cos^2 / 2
+                slope += omega * sin * (cos - sign * re);
+                curvature += omega * omega * (cos * cos - sin * sin - sign * re * cos);
+            }
+            (cos, sin) = (cos * cos_1 - sin * sin_1, sin * cos_1 + cos * sin_1);
+        }
+        (slope, curvature)
+    }
+}
+
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    // Eight lanes, so that the compiler may use vector registers.
+    let mut lanes = [0.0_f32; 8];
+    let (a_blocks, b_blocks) = (a.chunks_exact(8), b.chunks_exact(8));
+    let tail: f32 = a_blocks
+        .remainder()
+        .iter()
+        .zip(b_blocks.remainder())
+        .map(|(a, b)| a * b)
+        .sum();
+    for (a, b) in a_blocks.zip(b_blocks) {
+        for (lane, (a, b)) in lanes.iter_mut().zip(a.iter().zip(b)) {
+            *lane += a * b;
+        }
+    }
+    lanes.iter().sum::<f32>() + tail
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{PI, TAU};
+
+    use super::*;
+
+    fn coefficients(transform: Transform, grid: u16, events: &[Placed]) -> Vec<(u16, f64, f64)> {
+        (0..grid)
+            .map(|k| {
+                let (mut re, mut im) = (0.0, 0.0);
+                for (u, sign) in events {
+                    let k = f64::from(k);
+                    match transform {
+                        Transform::Dct => re += sign * (PI * k * u).cos(),
+                        _ => {
+                            re += sign * (TAU * k * u).cos();
+                            im -= sign * (TAU * k * u).sin();
+                        }
+                    }
+                }
+                (k, re, im)
+            })
+            .collect()
+    }
+
+    fn decode(transform: Transform, events: &[Placed]) -> Vec<Placed> {
+        let on = events.iter().filter(|event| event.1 > 0.0).count() as u32;
+        let off = events.len() as u32 - on;
+        let grid = transform.grid_size(16, None).min(16);
+        let peaks = Peaks::new(transform, usize::from(grid), 16);
+        let coefficients = coefficients(transform, grid, events);
+        let mut placed = peaks.pixel(&Pixel {
+            x: 0,
+            y: 0,
+            on,
+            off,
+            coefficients,
+            single_u: None,
+        });
+        placed.sort_by(|a, b| a.0.total_cmp(&b.0));
+        placed
+    }
+
+    #[test]
+    fn separate_events_come_back_to_a_millionth_of_the_window() {
+        for transform in [Transform::Dct, Transform::Dtft] {
+            for events in [
+                vec![(0.3, 1.0)],
+                vec![(0.001, -1.0)],
+                vec![(0.2, 1.0), (0.7, -1.0)],
+                vec![(0.15, 1.0), (0.45, 1.0), (0.8, -1.0)],
+            ] {
+                let placed = decode(transform, &events);
+                for (found, true_event) in placed.iter().zip(&events) {
+                    assert_eq!(found.1, true_event.1);
+                    let error = (found.0 - true_event.0).abs();
+                    assert!(error < 1e-5, "{transform:?} {events:?} {placed:?}");
+                }
+            }
+        }
+    }
+}

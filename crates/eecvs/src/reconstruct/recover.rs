@@ -1,0 +1,424 @@
+//! A pixel's event times from its coefficients: the stages in their order.
+//!
+//! ```text
+//! crowd  <- too many events -- equations -> pursuit, refined pursuit, pencil, Newton -> refine -> lattice
+//!                                        -> ensemble (many events) ------------------------^
+//! ```
+//!
+//! Starts are tried one after the other ([`super::pursuit`], [`super::prony`]) until one, after least
+//! squares ([`super::refine`]), explains the coefficients as well as quantised ones can be; its times go
+//! to the middle of what is possible and then to the grid of microseconds ([`super::lattice`]), where
+//! encoding them again tells whether they are right. Of many events, whose coefficients have many
+//! explanations, it is the median of these ([`super::ensemble`]). Pixels of more events than that can work for get
+//! the flattest densities ([`super::crowd`]).
+
+use eecvs_nostd::Header;
+use serde::Serialize;
+
+use super::Pixel;
+use super::crowd::Densities;
+use super::equations::Equations;
+use super::lattice::{self, Lattice};
+use super::pursuit::Peaks;
+use super::refine::{LEAST_SQUARES_ROUNDS, Work, centre, largest, least_squares, rms};
+use super::{ensemble, prony};
+
+/// Most events whose times are sought one by one.
+pub const EVENTS_MAX: usize = 40;
+/// Share of the numbers sent, in fifths, up to which they are. More unknowns than equations have many
+/// solutions, of which one from the right start is still nearer than none.
+const EVENTS_FIFTHS: usize = 8;
+/// Pixels of so many events or more have the median of many solutions.
+const MEDIAN_FROM: usize = 17;
+/// Root of the mean square, over h, of a residual that is the quantiser's: uniform errors have 0.58,
+/// with a deviation of 0.05 over 30 rows.
+const RMS_QUANTISED: f64 = 0.75;
+/// Rounds of least squares of a crowded pixel, and most events of one that is refined.
+const CROWD_ROUNDS: usize = 4;
+const CROWD_EVENTS_MAX: usize = 64;
+
+/// How sure the times of a pixel are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Confidence {
+    /// They encode to exactly what was received, and none a microsecond or two beside them do.
+    Exact,
+    /// They encode to exactly what was received, and so do others nearby, of which they are the middle.
+    Consistent,
+    /// They explain the coefficients as well as was found.
+    Approximate,
+}
+
+impl Confidence {
+    /// Of times that agree with what was received.
+    const fn of(is_unique: bool) -> Self {
+        if is_unique {
+            Self::Exact
+        } else {
+            Self::Consistent
+        }
+    }
+}
+
+/// How many pixels have come back how; the fields are JSON keys.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Confidences {
+    /// [`Confidence::Exact`]
+    pub pixels_exact: u64,
+    /// [`Confidence::Consistent`]
+    pub pixels_consistent: u64,
+    /// [`Confidence::Approximate`], and all pixels whose times are not verified.
+    pub pixels_approximate: u64,
+}
+
+impl Confidences {
+    /// Counts a pixel.
+    pub const fn count(&mut self, confidence: Confidence) {
+        match confidence {
+            Confidence::Exact => self.pixels_exact += 1,
+            Confidence::Consistent => self.pixels_consistent += 1,
+            Confidence::Approximate => self.pixels_approximate += 1,
+        }
+    }
+
+    /// Adds others.
+    pub const fn add(&mut self, others: Self) {
+        self.pixels_exact += others.pixels_exact;
+        self.pixels_consistent += others.pixels_consistent;
+        self.pixels_approximate += others.pixels_approximate;
+    }
+}
+
+/// A pixel's events.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recovered {
+    /// Offsets in microseconds, below T, those of the ON events first.
+    pub offsets_us: Vec<u32>,
+    /// How sure they are.
+    pub confidence: Confidence,
+    /// Largest difference of a coefficient from the received one, in steps: up to a half is rounding.
+    /// `None` where it was not looked at.
+    pub residual_steps: Option<f64>,
+}
+
+/// Events of a pixel of the DCT or the DTFT. The work is bounded whatever the coefficients are.
+#[must_use]
+pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Recovered {
+    if let Some(u) = pixel.single_u {
+        let (offset_us, is_unique) = lattice::single(header, u);
+        return Recovered {
+            offsets_us: vec![offset_us],
+            confidence: Confidence::of(is_unique),
+            residual_steps: None,
+        };
+    }
+    let equations = Equations::new(header, pixel);
+    let events = equations.events();
+    if events > EVENTS_MAX || 5 * events > EVENTS_FIFTHS * equations.rows() {
+        return crowded(equations, work);
+    }
+    let equations = equations.with_signs();
+    let times = if events >= MEDIAN_FROM {
+        let peaks = Some((peaks, pixel));
+        ensemble::times(&equations, peaks, LEAST_SQUARES_ROUNDS, work)
+    } else {
+        fitted(&equations, peaks, pixel, work)
+    };
+    if rms(&equations, &times, work) < 1.0 {
+        let mut middle = times.clone();
+        centre(&equations, &mut middle, work);
+        let mut lattice = Lattice::new(header, &equations);
+        for times in [&middle, &times] {
+            if let Some(agreed) = lattice.agree(&offsets_us(&equations, times)) {
+                return Recovered {
+                    confidence: Confidence::of(agreed.is_unique),
+                    residual_steps: residual_steps(&equations, &agreed.offsets, work),
+                    offsets_us: agreed.offsets,
+                };
+            }
+        }
+        return approximate(&equations, &middle, work);
+    }
+    approximate(&equations, &times, work)
+}
+
+/// The first start that least squares bring to the quantiser's error, or the best of all.
+fn fitted(equations: &Equations, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Vec<f64> {
+    let mut best: Option<(f64, Vec<f64>)> = None;
+    for start in 0..5 {
+        let times = match start {
+            0 => Some(peaks.times(pixel)),
+            1 => Some(peaks.refined(pixel, equations, work)),
+            2 => prony::pencil(equations),
+            3 => prony::newton(equations),
+            _ => Some(Densities::flattest(equations).times(0.5)),
+        };
+        let Some(mut times) = times else {
+            continue;
+        };
+        least_squares(equations, &mut times, LEAST_SQUARES_ROUNDS, work);
+        let rms = rms(equations, &times, work);
+        if rms < RMS_QUANTISED {
+            return times;
+        }
+        if best.as_ref().is_none_or(|(least, _)| rms < *least) {
+            best = Some((rms, times));
+        }
+    }
+    best.map(|(_, times)| times).unwrap_or_default()
+}
+
+fn crowded(equations: Equations, work: &mut Work) -> Recovered {
+    if equations.events() > CROWD_EVENTS_MAX {
+        let times = Densities::flattest(&equations).times(0.5);
+        return Recovered {
+            offsets_us: offsets_us(&equations, &times),
+            confidence: Confidence::Approximate,
+            residual_steps: None,
+        };
+    }
+    let equations = equations.with_signs();
+    let times = ensemble::times(&equations, None, CROWD_ROUNDS, work);
+    approximate(&equations, &times, work)
+}
+
+fn approximate(equations: &Equations, times: &[f64], work: &mut Work) -> Recovered {
+    let offsets_us = offsets_us(equations, times);
+    Recovered {
+        residual_steps: residual_steps(equations, &offsets_us, work),
+        offsets_us,
+        confidence: Confidence::Approximate,
+    }
+}
+
+fn offsets_us(equations: &Equations, times: &[f64]) -> Vec<u32> {
+    times.iter().map(|u| equations.offset_us(*u)).collect()
+}
+
+fn residual_steps(equations: &Equations, offsets_us: &[u32], work: &mut Work) -> Option<f64> {
+    let duration = f64::from(equations.duration_us);
+    let times: Vec<f64> = offsets_us
+        .iter()
+        .map(|offset| f64::from(*offset) / duration)
+        .collect();
+    Some(largest(equations, &times, work) / (2.0 * equations.half_step))
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_nostd::Transform;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::reconstruct::test_pixel;
+
+    type Train = Vec<(u32, bool)>;
+
+    fn recovered(header: &Header, events: &[(u32, bool)]) -> (Train, Recovered) {
+        let peaks = Peaks::new(header.transform, header.grid.into(), header.m.into());
+        let sent = test_pixel::pixel(header, events);
+        let found = pixel(header, &peaks, &sent, &mut Work::default());
+        let polarities = (0..).map(|i| i < sent.on);
+        let mut train: Train = found.offsets_us.iter().copied().zip(polarities).collect();
+        train.sort_unstable();
+        (train, found)
+    }
+
+    fn sorted(events: &[(u32, bool)]) -> Train {
+        let mut train = events.to_vec();
+        train.sort_unstable();
+        train
+    }
+
+    /// Events a part of the window from each other, around it too.
+    fn apart(duration_us: u32, most: usize) -> impl Strategy<Value = Train> {
+        let gaps = proptest::collection::vec((8..40_u32, any::<bool>()), 2..=most);
+        (gaps, 0..duration_us).prop_map(move |(gaps, start)| {
+            let sum: u32 = gaps.iter().map(|(gap, _)| gap).sum();
+            let mut at = u64::from(start);
+            gaps.iter()
+                .map(|(gap, is_on)| {
+                    at += u64::from(*gap) * u64::from(duration_us) / u64::from(sum);
+                    ((at % u64::from(duration_us)) as u32, *is_on)
+                })
+                .collect()
+        })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Exactly, and known to be: as far apart as a period of the highest atom is long.
+        #[test]
+        fn trains_come_back_exactly_at_fine_steps(
+            (duration_us, events) in (1000_u32..40_000).prop_flat_map(|t| (Just(t), apart(t, 6))),
+            step_log2 in -15..=-10_i8,
+        ) {
+            let header = test_pixel::header(Transform::Dtft, 16, step_log2, duration_us);
+            let (train, found) = recovered(&header, &events);
+            prop_assert_eq!(train, sorted(&events), "{:?}", found);
+            prop_assert_eq!(found.confidence, Confidence::Exact);
+        }
+
+        /// Whatever is not called approximate encodes to what was received.
+        #[test]
+        fn what_is_verified_encodes_to_what_was_received(
+            events in proptest::collection::vec((0..5000_u32, any::<bool>()), 2..26),
+            step_log2 in -15..=8_i8,
+            m in 1..=20_u8,
+            is_dct: bool,
+        ) {
+            let transform = if is_dct { Transform::Dct } else { Transform::Dtft };
+            let header = test_pixel::header(transform, m, step_log2, 5000);
+            let (train, found) = recovered(&header, &events);
+            let on = |train: &Train| train.iter().filter(|event| event.1).count();
+            prop_assert_eq!(train.len(), events.len());
+            prop_assert_eq!(on(&train), on(&events));
+            if found.confidence != Confidence::Approximate {
+                let levels = |train: &Train| test_pixel::levels(&header, train);
+                prop_assert_eq!(levels(&train), levels(&events));
+            }
+        }
+
+        /// No coefficients make it panic or leave the window.
+        #[test]
+        fn any_coefficients_give_events_in_the_window(
+            coefficients in proptest::collection::btree_map(
+                1..64_u16, (prop_oneof![-30.0..30.0, -1e12..1e12], -30.0..30.0), 0..40),
+            (on, off) in (0..30_u32, 0..30_u32),
+            duration_us in prop_oneof![1..8_u32, any::<u32>().prop_map(|t| t.max(1))],
+            step_log2 in -15..=8_i8,
+            is_dct: bool,
+        ) {
+            let transform = if is_dct { Transform::Dct } else { Transform::Dtft };
+            let header = test_pixel::header(transform, 64, step_log2, duration_us);
+            let peaks = Peaks::new(transform, 64, 64);
+            let sent = Pixel {
+                x: 0,
+                y: 0,
+                on,
+                off,
+                coefficients: coefficients.into_iter().map(|(k, (re, im))| (k, re, im)).collect(),
+                single_u: None,
+            };
+            let found = pixel(&header, &peaks, &sent, &mut Work::default());
+            prop_assert_eq!(found.offsets_us.len() as u32, on + off);
+            prop_assert!(found.offsets_us.iter().all(|offset| *offset < duration_us));
+        }
+    }
+
+    #[test]
+    fn events_a_microsecond_apart_come_back_within_four() {
+        let header = test_pixel::header(Transform::Dtft, 16, -15, 32_768);
+        for at in [100, 5_000, 16_383, 20_001, 30_000] {
+            for is_on in [true, false] {
+                let events = [(at, is_on), (at + 1, is_on)];
+                let (train, found) = recovered(&header, &events);
+                assert_ne!(found.confidence, Confidence::Approximate, "{events:?}");
+                for (found, event) in train.iter().zip(&events) {
+                    assert!(found.0.abs_diff(event.0) <= 4, "{events:?} {train:?}");
+                }
+            }
+        }
+    }
+
+    /// Of opposite signs they leave 0.003 at the most, of which the kernel's error is a part.
+    #[test]
+    fn opposite_events_a_microsecond_apart_come_back_nearby() {
+        let header = test_pixel::header(Transform::Dtft, 16, -15, 32_768);
+        for at in [100, 5_000, 16_383, 20_001, 30_000] {
+            let events = [(at, true), (at + 1, false)];
+            let (train, _) = recovered(&header, &events);
+            for (found, event) in train.iter().zip(&events) {
+                assert!(found.0.abs_diff(event.0) <= 100, "{events:?} {train:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn equal_times_of_one_polarity_come_back() {
+        let header = test_pixel::header(Transform::Dtft, 16, -12, 32_768);
+        for copies in 2..=4 {
+            let events = vec![(12_345, false); copies];
+            let (train, _) = recovered(&header, &events);
+            let worst = train.iter().map(|event| event.0.abs_diff(12_345)).max();
+            assert!(worst <= Some(40), "{train:?}");
+        }
+    }
+
+    /// Nothing tells where they were, but that they were at one time.
+    #[test]
+    fn opposite_signs_that_cancel_are_not_called_exact() {
+        let header = test_pixel::header(Transform::Dtft, 16, -12, 32_768);
+        let (train, found) = recovered(&header, &[(12_345, true), (12_345, false)]);
+        assert_ne!(found.confidence, Confidence::Exact);
+        assert!(train[0].0.abs_diff(train[1].0) <= 2, "{train:?}");
+        // Beside a third event that can be told.
+        let (train, _) = recovered(&header, &[(9000, true), (20_000, true), (9000, false)]);
+        assert!(train.contains(&(20_000, true)), "{train:?}");
+    }
+
+    #[test]
+    fn events_at_the_ends_of_the_window_come_back() {
+        for transform in [Transform::Dct, Transform::Dtft] {
+            let header = test_pixel::header(transform, 16, -12, 30_011);
+            for events in [
+                vec![(0, true), (15_000, false)],
+                vec![(30_010, true), (15_000, false)],
+                vec![(30_010, false), (9_000, false), (500, true)],
+            ] {
+                let (train, found) = recovered(&header, &events);
+                // The DCT is flat at both ends: an event moves there without being noticed.
+                let most = if transform == Transform::Dct { 12 } else { 0 };
+                for (found, event) in train.iter().zip(&sorted(&events)) {
+                    assert!(found.0.abs_diff(event.0) <= most, "{transform:?} {train:?}");
+                }
+                assert_ne!(
+                    found.confidence,
+                    Confidence::Approximate,
+                    "{transform:?} {events:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn single_events_are_in_their_cell() {
+        for (transform, step_log2, duration_us) in [
+            (Transform::Dtft, -6, 32_768),
+            (Transform::Dtft, -8, 32_768),
+            (Transform::Dct, -10, 30_011),
+            (Transform::Dtft, -15, 7),
+        ] {
+            let header = test_pixel::header(transform, 16, step_log2, duration_us);
+            let peaks = Peaks::new(transform, 16, 16);
+            let cells_log2 = header.packing().cells_log2();
+            let cells = 1_u32 << cells_log2;
+            let most = (duration_us >> cells_log2).div_ceil(2);
+            for offset_us in [
+                0,
+                1,
+                2,
+                3,
+                duration_us / 2,
+                duration_us - 2,
+                duration_us - 1,
+            ] {
+                let scale = eecvs_nostd::transform::phase::PhaseScale::new(duration_us);
+                let cell = scale.half(offset_us).to_bits() >> (31 - cells_log2);
+                let sent = Pixel {
+                    single_u: Some((f64::from(cell) + 0.5) / f64::from(cells)),
+                    ..test_pixel::pixel(&header, &[(offset_us, true)])
+                };
+                let found = pixel(&header, &peaks, &sent, &mut Work::default());
+                assert!(
+                    found.offsets_us[0].abs_diff(offset_us) <= most,
+                    "{found:?} {offset_us}"
+                );
+                let of = |offset_us| scale.half(offset_us).to_bits() >> (31 - cells_log2);
+                let alike = (0..duration_us).filter(|offset| of(*offset) == cell);
+                let is_told = found.confidence == Confidence::Exact;
+                assert_eq!(is_told, alike.count() == 1);
+            }
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! Puts the events of a step in order and holds back those that end up in a later one.
+
+use event_types::{Event, Polarity};
+
+/// Bits below the time of a packed event: y 11, x 11, polarity 1.
+const PLACE_BITS: u32 = 23;
+
+/// Events of the step being made, packed so that integer order is the scene's order: time, y, x,
+/// OFF before ON.
+///
+/// Latency only delays, so every event before the end of a step is known once the step is made;
+/// later ones wait for their step.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Queue {
+    packed: Vec<u64>,
+    /// Time of a packed time of 0.
+    origin_us: u64,
+    /// `packed[taken..ready]` is in order and may be taken.
+    taken: usize,
+    ready: usize,
+}
+
+impl Queue {
+    /// Begins a step at `start_us`; everything ready has been taken.
+    pub(super) fn begin(&mut self, start_us: u64) {
+        self.packed.drain(..self.taken);
+        let advance = start_us.saturating_sub(self.origin_us) << PLACE_BITS;
+        for packed in &mut self.packed {
+            *packed -= advance;
+        }
+        self.origin_us = start_us;
+        self.taken = 0;
+        self.ready = 0;
+    }
+
+    /// Adds an event `after_us` later than the start of the step.
+    pub(super) fn push(&mut self, after_us: u32, x: u16, y: u16, polarity: Polarity) {
+        self.packed.push(
+            u64::from(after_us) << PLACE_BITS
+                | u64::from(y) << 12
+                | u64::from(x) << 1
+                | u64::from(polarity as u8),
+        );
+    }
+
+    /// Ends the step: events earlier than `end_us` may be taken.
+    pub(super) fn end(&mut self, end_us: u64) {
+        self.packed.sort_unstable();
+        let limit = end_us.saturating_sub(self.origin_us) << PLACE_BITS;
+        self.ready = self.packed.partition_point(|packed| *packed < limit);
+    }
+
+    /// Appends at most `most` of the ready events, `start_us` later, and returns how many.
+    pub(super) fn take(&mut self, most: usize, start_us: u64, events: &mut Vec<Event>) -> usize {
+        let until = self.ready.min(self.taken.saturating_add(most));
+        let origin_us = self.origin_us + start_us;
+        let batch = self.packed.get(self.taken..until).unwrap_or_default();
+        events.extend(batch.iter().map(|packed| Event {
+            t_us: origin_us + (packed >> PLACE_BITS),
+            x: (packed >> 1 & 0x7ff) as u16,
+            y: (packed >> 12 & 0x7ff) as u16,
+            polarity: Polarity::from_bool(packed & 1 == 1),
+        }));
+        self.taken = until;
+        batch.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn order_is_time_row_column_polarity_and_late_events_wait() {
+        let mut queue = Queue::default();
+        queue.begin(1_000);
+        for (after, x, y, polarity) in [
+            (7, 2047, 3, Polarity::On),
+            (7, 0, 2047, Polarity::Off),
+            (7, 2047, 3, Polarity::Off),
+            (7, 5, 3, Polarity::On),
+            (1_200, 1, 1, Polarity::On),
+            (0, 9, 9, Polarity::On),
+        ] {
+            queue.push(after, x, y, polarity);
+        }
+        queue.end(2_000);
+        let mut events = Vec::new();
+        assert_eq!(queue.take(2, 10, &mut events), 2);
+        assert_eq!(queue.take(9, 10, &mut events), 3);
+        assert_eq!(queue.take(9, 10, &mut events), 0);
+        queue.begin(2_000);
+        queue.push(100, 0, 0, Polarity::Off);
+        queue.end(3_000);
+        assert_eq!(queue.take(9, 10, &mut events), 2);
+        let seen: Vec<_> = events
+            .iter()
+            .map(|e| (e.t_us, e.y, e.x, e.polarity as u8))
+            .collect();
+        assert_eq!(
+            seen,
+            [
+                (1_010, 9, 9, 1),
+                (1_017, 3, 5, 1),
+                (1_017, 3, 2047, 0),
+                (1_017, 3, 2047, 1),
+                (1_017, 2047, 0, 0),
+                (2_110, 0, 0, 0),
+                (2_210, 1, 1, 1),
+            ]
+        );
+    }
+}

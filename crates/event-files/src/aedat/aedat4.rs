@@ -1,0 +1,885 @@
+//! AEDAT 4.0, the format of iniVation's DV: LZ4, Zstandard or no compression.
+//!
+//! `#!AER-DAT4.0\r\n`, an `IOHE` table (compression, position of the packet table, XML that names
+//! streams, their types and sizes), packets (i32 stream, i32 size, content), then the `FTAB`
+//! packet table. A packet's content and the packet table are size-prefixed `FlatBuffers`, each
+//! compressed as one frame. An event is 16 bytes: i64 t in us, i16 x, i16 y, u8 polarity, padding.
+//!
+//! Events come from the stream that is named behind the file (`FILE.aedat4/1`, or its camera's or output's name), or
+//! else from the first event stream in the XML, which is said where there are several. Frames, IMU samples,
+//! triggers and the events of further streams are counted as skipped.
+//!
+//! A recording is sought by its packet table, as `aedat4_table.rs` says. One that is still being written, or
+//! was interrupted, says that it has none (position -1, or 0 from DV): it ends with its last packet, or where
+//! the table itself stands, which its first bytes tell from a packet of a stream that the XML names.
+//!
+//! The crate `aedat` 1.3 decodes the shared recordings alike, but it allocates whatever size a
+//! packet states, takes a truncated file for its end, hands the packets out without offsets and
+//! reads from files and sockets only, and it builds two C libraries and `ndarray`; so this is our
+//! own decoder, and `aedat` is its peer in the tests.
+
+use std::io::Read;
+
+use event_types::stream::{ErrorKind, Result};
+use event_types::{Event, Polarity, Sensor};
+
+use crate::aedat::aedat4_writer::Aedat4Writer;
+use crate::aedat::lz4_frame;
+use crate::aedat::lz4_frame::Content as Unpacked;
+use crate::aedat::packet_table::{Entry, PacketTable};
+use crate::flatbuffer::{Buffer, Vector};
+use crate::format::{Format, Limits, Opening};
+use crate::input::{Batch, Decode, Input, OUTSIDE, ReadSeek, Reader};
+use crate::word_runs::RUN_WORDS;
+use crate::{Assumption, Skipped};
+
+/// First bytes of every AEDAT 4.0 file.
+pub const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
+
+/// Bytes behind the packets in which another recording is looked for: more than any packet table has.
+const FOLLOWING_MAX: u64 = 1 << 24;
+
+/// Longest IOHE table: the XML of real files has a few kB.
+const HEADER_MAX: usize = 1 << 20;
+
+/// Longest content of a packet, compressed and decompressed: 4 million events. DV closes a packet
+/// every 10 ms.
+pub(crate) const PACKET_MAX: usize = 1 << 26;
+
+/// First bytes of a frame of Zstandard.
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// Bytes of an event in a packet.
+pub(crate) const EVENT_BYTES: usize = 16;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Compression {
+    None,
+    Lz4,
+    Zstd,
+}
+
+impl Compression {
+    /// Unpacks a packet or the packet table, at most a byte more than a packet may have.
+    fn unpack(self, raw: &[u8], to: &mut Unpacked) -> std::io::Result<()> {
+        const LIMIT: usize = PACKET_MAX + 1;
+        match self {
+            Self::None => to.read(raw),
+            Self::Lz4 => to.decode(raw, LIMIT),
+            Self::Zstd => {
+                let decoder = ruzstd::decoding::StreamingDecoder::new(raw);
+                to.read(decoder.map_err(std::io::Error::other)?.take(LIMIT as u64))
+            }
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Content {
+    /// The stream whose events are read.
+    Events,
+    OtherEvents,
+    Frames,
+    Imu,
+    Triggers,
+    Unknown,
+}
+
+/// A stream that the XML describes.
+#[derive(Debug, Clone)]
+struct Stream {
+    id: i32,
+    content: Content,
+    size: Option<(u64, u64)>,
+    source: Option<String>,
+    /// What the program that wrote it called it.
+    output: Option<String>,
+}
+
+impl Stream {
+    /// Whether `place` names it: by its number, its camera, its output's name, or camera and name.
+    fn is_named(&self, place: &str) -> bool {
+        let is = |name: &Option<String>, part: &str| name.as_deref() == Some(part);
+        let both = place.split_once('/');
+        place == self.id.to_string()
+            || is(&self.source, place)
+            || is(&self.output, place)
+            || both.is_some_and(|(source, output)| {
+                is(&self.source, source) && is(&self.output, output)
+            })
+    }
+
+    /// Its number and its names, for messages.
+    fn title(&self) -> String {
+        let names = [&self.source, &self.output].into_iter().flatten();
+        let names: Vec<&str> = names.map(String::as_str).collect();
+        match names.as_slice() {
+            [] => self.id.to_string(),
+            names => format!("{} ({})", self.id, names.join(", ")),
+        }
+    }
+}
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "aedat4",
+    title: "AEDAT 4",
+    endings: &[".aedat4"],
+    detect: |start| start.begins(MAGIC),
+    open: |Opening {
+               source,
+               name,
+               reading,
+               place,
+               ..
+           }| {
+        Ok(Box::new(Aedat4Reader::of_stream(
+            source,
+            name,
+            place,
+            reading.size,
+        )?))
+    },
+    has_places: true,
+    is_table: false,
+    grows: true,
+    streams: false,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(Aedat4Writer::create(path, sensor)?))),
+};
+
+/// Reader of AEDAT 4.0 files.
+pub type Aedat4Reader = Reader<Aedat4Decoder>;
+
+impl Aedat4Reader {
+    /// Reads `source`, which messages call `name`; `size` counts where the XML names no size.
+    ///
+    /// # Errors
+    /// No AEDAT 4.0 header, an unknown compression, no event stream, no sensor size.
+    pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
+        Self::of_stream(source, name, None, size)
+    }
+
+    /// As [`Aedat4Reader::new`], the events of the stream that `place` names.
+    ///
+    /// # Errors
+    /// As [`Aedat4Reader::new`]; no event stream of that name, or more than one.
+    pub fn of_stream(
+        source: Box<dyn ReadSeek>,
+        name: &str,
+        place: Option<&str>,
+        size: Option<Sensor>,
+    ) -> Result<Self> {
+        let mut input = Input::new(source, name)?;
+        let mut start = [0; MAGIC.len()];
+        if input.fill(&mut start)? < start.len() || &start != MAGIC {
+            return Err(input.error_at(0, "no AEDAT 4.0 header (#!AER-DAT4.0)"));
+        }
+        let header = read_io_header(&mut input)?;
+        let Buffers {
+            compression,
+            table_position,
+            xml,
+        } = header;
+        let mut streams = streams_of(&xml).map_err(|what| input.error_at(18, what))?;
+        let assumption = choose(&mut streams, place).map_err(|what| input.error_at(18, what))?;
+        let Some(stream) = streams
+            .iter()
+            .find(|stream| stream.content == Content::Events)
+        else {
+            return Err(input.error_at(18, "the recording holds no event stream"));
+        };
+        let sensor = match stream.size {
+            Some((width, height)) => {
+                let side = |side| u16::try_from(side).unwrap_or(0);
+                Sensor::new(side(width), side(height)).ok_or_else(|| {
+                    input.error_at(18, format!("sensor size {width}x{height} is out of range"))
+                })?
+            }
+            None => size.ok_or_else(|| {
+                input
+                    .error_at(18, "no sensor size in the XML: give --width W --height H")
+                    .of_kind(ErrorKind::Undecided)
+            })?,
+        };
+        let (camera, stream_id) = (stream.source.clone(), stream.id);
+        Ok(Self::around(Aedat4Decoder {
+            start: input.offset(),
+            end: table_position,
+            input,
+            compression,
+            streams,
+            stream_id,
+            sensor,
+            camera,
+            assumptions: assumption.into_iter().collect(),
+            leave_out: false,
+            table: None,
+            raw: Vec::new(),
+            packet: Unpacked::default(),
+            packet_offset: 0,
+            elements: Vector { start: 0, len: 0 },
+            events: 0,
+            skipped: Skipped::default(),
+        }))
+    }
+}
+
+struct Buffers {
+    compression: Compression,
+    /// Where the packets end, if the file says so.
+    table_position: Option<u64>,
+    xml: String,
+}
+
+fn read_io_header(input: &mut Input) -> Result<Buffers> {
+    let start = input.offset();
+    let mut bytes = vec![0; 4];
+    let got = input.fill(&mut bytes)?;
+    let size = bytes
+        .first_chunk()
+        .map_or(0, |size| u32::from_le_bytes(*size) as usize);
+    if got < 4 || size > HEADER_MAX {
+        return Err(input.error_at(start, "the header is truncated or over 1 MiB: damaged file"));
+    }
+    bytes.resize(4 + size, 0);
+    if input.fill(bytes.get_mut(4..).unwrap_or_default())? < size {
+        return Err(input.error("the file ends within its header: truncated"));
+    }
+    let fields = || {
+        let (buffer, table) = Buffer::root(&bytes, b"IOHE")?;
+        let xml = buffer.string(table, 2)?.to_owned();
+        Some((buffer.i32(table, 0, 0)?, buffer.i64(table, 1, -1)?, xml))
+    };
+    let (compression, position, xml) =
+        fields().ok_or_else(|| input.error_at(start, "the IOHE header is damaged"))?;
+    let compression = match compression {
+        0 => Compression::None,
+        1 | 2 => Compression::Lz4,
+        3 | 4 => Compression::Zstd,
+        other => {
+            return Err(input.error_at(start, format!("compression {other} is not known")));
+        }
+    };
+    // -1 says that there is no table; DV leaves 0 where it was killed.
+    let table_position = u64::try_from(position)
+        .ok()
+        .filter(|position| *position > 0);
+    Ok(Buffers {
+        compression,
+        table_position,
+        xml,
+    })
+}
+
+/// The streams that the XML describes, in its order.
+fn streams_of(xml: &str) -> Result<Vec<Stream>, String> {
+    let options = roxmltree::ParsingOptions {
+        nodes_limit: 1 << 16,
+        ..Default::default()
+    };
+    let document = roxmltree::Document::parse_with_options(xml, options)
+        .map_err(|error| format!("the XML in the header is damaged: {error}"))?;
+    let attribute = |node: roxmltree::Node<'_, '_>, key: &str| {
+        let mut attributes = node.children().filter(|child| child.has_tag_name("attr"));
+        let found = attributes.find(|child| child.attribute("key") == Some(key))?;
+        found.text().map(|text| text.trim().to_owned())
+    };
+    let mut streams: Vec<Stream> = Vec::new();
+    for node in document
+        .descendants()
+        .filter(|node| node.has_tag_name("node"))
+    {
+        let Some(kind) = attribute(node, "typeIdentifier") else {
+            continue;
+        };
+        let name = node.attribute("name").unwrap_or_default();
+        let id = name
+            .parse()
+            .map_err(|_| format!("stream name {name:?} is no number"))?;
+        let content = match kind.as_str() {
+            "EVTS" => Content::OtherEvents,
+            "FRME" => Content::Frames,
+            "IMUS" => Content::Imu,
+            "TRIG" => Content::Triggers,
+            _ => Content::Unknown,
+        };
+        let info = node
+            .children()
+            .find(|child| child.attribute("name") == Some("info"));
+        let of_info = |key| info.and_then(|info| attribute(info, key));
+        let side = |key| of_info(key).and_then(|side| side.parse::<u64>().ok());
+        let size = side("sizeX").zip(side("sizeY"));
+        streams.push(Stream {
+            id,
+            content,
+            size,
+            source: of_info("source"),
+            output: attribute(node, "originalOutputName"),
+        });
+    }
+    Ok(streams)
+}
+
+/// Makes the event stream that `place` names, or the first one, the one that is read; what was chosen where there
+/// was a choice.
+fn choose(streams: &mut [Stream], place: Option<&str>) -> Result<Option<Assumption>, String> {
+    let is_events = |stream: &&Stream| stream.content == Content::OtherEvents;
+    let titles: Vec<String> = streams
+        .iter()
+        .filter(is_events)
+        .map(Stream::title)
+        .collect();
+    let all = titles.join(", ");
+    let mut found = streams
+        .iter_mut()
+        .filter(|stream| stream.content == Content::OtherEvents)
+        .filter(|stream| place.is_none_or(|place| stream.is_named(place)));
+    let Some(stream) = found.next() else {
+        return match place {
+            Some(place) if !titles.is_empty() => {
+                Err(format!("no event stream {place}: the recording has {all}"))
+            }
+            _ => Ok(None),
+        };
+    };
+    if let Some(place) = place {
+        if found.next().is_some() {
+            return Err(format!(
+                "more than one event stream is called {place}: name one by its number: {all}"
+            ));
+        }
+        stream.content = Content::Events;
+        return Ok(None);
+    }
+    stream.content = Content::Events;
+    let taken = stream.title();
+    Ok((titles.len() > 1).then(|| Assumption {
+        what: "stream",
+        taken,
+        why: format!(
+            "the first of {all}; another one is named behind the file, as in FILE.aedat4/1"
+        ),
+    }))
+}
+
+/// State between two batches: one decompressed packet.
+pub struct Aedat4Decoder {
+    input: Input,
+    compression: Compression,
+    streams: Vec<Stream>,
+    /// The stream whose events are read.
+    stream_id: i32,
+    sensor: Sensor,
+    camera: Option<String>,
+    assumptions: Vec<Assumption>,
+    /// Whether events that cannot be ones are counted instead of refused.
+    leave_out: bool,
+    /// Byte of the first packet.
+    start: u64,
+    /// Where the packets end; `None` where only the file's end or the packet table itself says it.
+    end: Option<u64>,
+    /// Since the first seek; empty where there is none.
+    table: Option<Option<PacketTable>>,
+    /// A packet as the file holds it.
+    raw: Vec<u8>,
+    packet: Unpacked,
+    packet_offset: u64,
+    /// Events of the packet that are still to be read.
+    elements: Vector,
+    events: u64,
+    skipped: Skipped,
+}
+
+impl Aedat4Decoder {
+    /// Reads packets up to the next one of the event stream; `false` at the end.
+    fn next_packet(&mut self) -> Result<bool> {
+        loop {
+            let start = self.input.offset();
+            if self.end.is_some_and(|end| start >= end) {
+                self.check_nothing_follows(start)?;
+                return Ok(false);
+            }
+            let mut header = [0; 8];
+            match self.input.fill(&mut header)? {
+                0 => {
+                    return match self.end {
+                        // Interrupted, or still being written where nobody waits for more.
+                        None => Ok(false),
+                        Some(_) => Err(self
+                            .input
+                            .error("the file ends before its packet table: truncated recording")),
+                    };
+                }
+                8 => {}
+                _ => return Err(self.input.error_at(start, "truncated packet header")),
+            }
+            let [s0, s1, s2, s3, n0, n1, n2, n3] = header;
+            let id = i32::from_le_bytes([s0, s1, s2, s3]);
+            let size = i32::from_le_bytes([n0, n1, n2, n3]);
+            if self.end.is_none()
+                && !self.streams.iter().any(|stream| stream.id == id)
+                && self.is_table(header)?
+            {
+                self.end = Some(start);
+                return Ok(false);
+            }
+            let Some(size) = usize::try_from(size)
+                .ok()
+                .filter(|size| *size <= PACKET_MAX)
+            else {
+                let what = format!("packet size {size} is not within 0 to 64 MiB: damaged file");
+                return Err(self.input.error_at(start, what));
+            };
+            let end = start + 8 + size as u64;
+            if self.end.is_some_and(|table| end > table) || !self.input.reaches(end)? {
+                let what = format!("the packet of {size} bytes runs past the end: truncated");
+                return Err(self.input.error_at(start, what));
+            }
+            let Some(stream) = self.streams.iter().find(|stream| stream.id == id) else {
+                let what = format!("packet of stream {id}, which the header does not name");
+                return Err(self.input.error_at(start, what));
+            };
+            let content = stream.content;
+            if matches!(content, Content::Frames | Content::Unknown) {
+                let kind = if content == Content::Frames {
+                    "frames"
+                } else {
+                    "other packets"
+                };
+                self.skipped.add(kind, 1);
+                self.input.seek(end)?;
+                continue;
+            }
+            self.unpack(start, size)?;
+            self.packet_offset = start;
+            let elements = self.elements_of(content);
+            if content == Content::Events {
+                self.elements = elements
+                    .ok_or_else(|| self.input.error_at(start, "the event packet is damaged"))?;
+                return Ok(true);
+            }
+            let (kind, damaged) = match content {
+                Content::Imu => ("IMU samples", "damaged IMU packets"),
+                Content::Triggers => ("triggers", "damaged trigger packets"),
+                _ => (
+                    "events of further streams",
+                    "damaged packets of further streams",
+                ),
+            };
+            match elements {
+                Some(elements) => self.skipped.add(kind, elements.len as u64),
+                None => self.skipped.add(damaged, 1),
+            }
+        }
+    }
+
+    /// Refuses a file behind whose packet table, at byte `at`, another recording begins: `cat` puts files so.
+    fn check_nothing_follows(&mut self, at: u64) -> Result<()> {
+        // No more than is there: of a file that grows, more would be waited for.
+        let length = self.input.end()?.saturating_sub(at);
+        self.input.seek(at)?;
+        let mut bytes = vec![0; length.min(FOLLOWING_MAX) as usize];
+        let filled = self.input.fill(&mut bytes)?;
+        bytes.truncate(filled);
+        let mut places = bytes.windows(MAGIC.len());
+        if let Some(place) = places.position(|bytes| bytes == MAGIC) {
+            return Err(self.input.error_at(
+                at + place as u64,
+                "another recording begins here: take the files apart",
+            ));
+        }
+        self.input.seek(at)
+    }
+
+    /// Whether the packet table begins with these bytes, behind which the input is.
+    fn is_table(&mut self, start: [u8; 8]) -> Result<bool> {
+        let [m0, m1, m2, m3, ..] = start;
+        let magic = [m0, m1, m2, m3];
+        Ok(match self.compression {
+            Compression::Lz4 => magic == lz4_frame::MAGIC,
+            Compression::Zstd => magic == ZSTD_MAGIC,
+            Compression::None => {
+                let mut letters = [0; 4];
+                let here = self.input.offset();
+                let is_table = self.input.fill(&mut letters)? == 4 && &letters == b"FTAB";
+                self.input.seek(here)?;
+                is_table
+            }
+        })
+    }
+
+    /// Takes the content of a packet whose `size` bytes follow.
+    fn unpack(&mut self, start: u64, size: usize) -> Result<()> {
+        self.raw.resize(size, 0);
+        if self.input.fill(&mut self.raw)? < size {
+            return Err(self.input.error_at(start, "truncated packet"));
+        }
+        let unpacked = self.compression.unpack(&self.raw, &mut self.packet);
+        unpacked.map_err(|error| {
+            let what = format!("the packet cannot be decompressed: {error}");
+            self.input.error_at(start, what)
+        })?;
+        if self.packet.bytes().len() > PACKET_MAX {
+            let what = "the packet unpacks to over 64 MiB: damaged file";
+            return Err(self.input.error_at(start, what));
+        }
+        Ok(())
+    }
+
+    /// The packet table at byte `at`; none where it is damaged. The input's position is lost.
+    fn read_table(&mut self, at: u64) -> Result<Option<PacketTable>> {
+        let size = usize::try_from(self.input.length().saturating_sub(at)).unwrap_or(usize::MAX);
+        let mut raw = vec![0; size.min(PACKET_MAX)];
+        let read = self.input.fill_at(at, &mut raw)?;
+        raw.truncate(read);
+        let mut table = Unpacked::default();
+        let unpacked = self.compression.unpack(&raw, &mut table);
+        Ok(unpacked
+            .ok()
+            .and_then(|()| PacketTable::parse(table.bytes(), self.stream_id)))
+    }
+
+    /// Where to go on for events of `t_us` and later, and the number of the events before; none where no
+    /// table tells it. The input's position is lost.
+    fn place(&mut self, t_us: u64) -> Result<Option<(u64, u64)>> {
+        let Some(end) = self.end else {
+            return Ok(None);
+        };
+        let table = match self.table.take() {
+            Some(table) => table,
+            None => self.read_table(end)?,
+        };
+        let Some(table) = self.table.insert(table) else {
+            return Ok(None);
+        };
+        let (packet, events) = table.place(t_us);
+        let Some(Entry {
+            header_at, size, ..
+        }) = packet
+        else {
+            return Ok(Some((end, events)));
+        };
+        let [mut id, mut its_size] = [[0; 4]; 2];
+        let read = self.input.fill_at(header_at, &mut id)? + self.input.fill(&mut its_size)?;
+        let header = (i32::from_le_bytes(id), i32::from_le_bytes(its_size));
+        let is_there = read == 8 && (self.start..end).contains(&header_at);
+        Ok((is_there && header == (self.stream_id, size)).then_some((header_at, events)))
+    }
+
+    /// The one vector of events, IMU and trigger packets.
+    fn elements_of(&self, content: Content) -> Option<Vector> {
+        let letters = match content {
+            Content::Imu => b"IMUS",
+            Content::Triggers => b"TRIG",
+            _ => b"EVTS",
+        };
+        let packet = self.packet.bytes();
+        let (buffer, table) = Buffer::root(packet, letters)?;
+        let vector = buffer.vector(table, 0)?;
+        let element = if letters == b"EVTS" { EVENT_BYTES } else { 4 };
+        let end = vector.start.checked_add(vector.len.checked_mul(element)?)?;
+        (end <= packet.len()).then_some(vector)
+    }
+
+    fn event_error(&self, event: &RawEvent, what: &str) -> event_types::stream::Error {
+        let RawEvent { t, x, y, .. } = event;
+        let Sensor { width, height } = self.sensor;
+        self.input.error_at(
+            self.packet_offset,
+            format!(
+                "event {} of the packet here (t = {t}, x = {x}, y = {y}) {what} ({width}x{height})",
+                self.events
+            ),
+        )
+    }
+}
+
+/// An event as a packet holds it.
+struct RawEvent {
+    t: i64,
+    x: i16,
+    y: i16,
+    on: bool,
+}
+
+impl RawEvent {
+    fn parse(bytes: [u8; EVENT_BYTES]) -> Self {
+        let [t0, t1, t2, t3, t4, t5, t6, t7, x0, x1, y0, y1, on, ..] = bytes;
+        Self {
+            t: i64::from_le_bytes([t0, t1, t2, t3, t4, t5, t6, t7]),
+            x: i16::from_le_bytes([x0, x1]),
+            y: i16::from_le_bytes([y0, y1]),
+            on: on != 0,
+        }
+    }
+
+    /// Whether it lies in the sensor. What is negative is beyond every sensor as an unsigned number.
+    const fn is_inside(&self, sensor: Sensor) -> bool {
+        sensor.contains(self.x.cast_unsigned(), self.y.cast_unsigned())
+    }
+
+    /// The event, where it lies in the sensor and its time is not negative.
+    const fn event(&self) -> Event {
+        Event {
+            t_us: self.t.cast_unsigned(),
+            x: self.x.cast_unsigned(),
+            y: self.y.cast_unsigned(),
+            polarity: Polarity::from_bool(self.on),
+        }
+    }
+}
+
+impl Decode for Aedat4Decoder {
+    fn format(&self) -> &'static str {
+        "aedat4"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.camera.as_deref()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.assumptions
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.leave_out = true;
+        true
+    }
+
+    fn seek(&mut self, t_us: u64) -> Result<bool> {
+        let offset = self.input.offset();
+        let place = self.place(t_us);
+        let Ok(Some((packet_at, events))) = place else {
+            self.input.seek(offset)?;
+            return place.map(|_| false);
+        };
+        self.input.seek(packet_at)?;
+        self.elements.len = 0;
+        self.events = events;
+        Ok(true)
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
+        while batch.room() > 0 {
+            if self.elements.len == 0 && !self.next_packet()? {
+                break;
+            }
+            let count = self.elements.len.min(batch.room()).min(RUN_WORDS);
+            let Vector { start, len } = self.elements;
+            let bytes = self.packet.bytes().get(start..start + count * EVENT_BYTES);
+            let (run, _) = bytes.unwrap_or_default().as_chunks::<EVENT_BYTES>();
+            let is_sound = |event: &RawEvent| event.t >= 0 && event.is_inside(self.sensor);
+            let parsed = || run.iter().map(|bytes| RawEvent::parse(*bytes));
+            // Of all, not up to the first: without a branch for each.
+            let are_sound = parsed().fold(true, |sound, event| sound & is_sound(&event));
+            let wrong = if are_sound {
+                None
+            } else {
+                parsed().enumerate().find(|(_, event)| !is_sound(event))
+            };
+            let sound = wrong.as_ref().map_or(run.len(), |(index, _)| *index);
+            let sound_run = run.get(..sound).unwrap_or_default();
+            batch.extend(
+                sound_run
+                    .iter()
+                    .map(|bytes| RawEvent::parse(*bytes).event()),
+            );
+            self.events += sound as u64;
+            let mut taken = count;
+            if let Some((index, event)) = wrong {
+                let (what, kind) = if event.t < 0 {
+                    ("has a negative time", "events with a negative time")
+                } else {
+                    ("is outside of the sensor", OUTSIDE)
+                };
+                if !self.leave_out {
+                    return Err(self.event_error(&event, what));
+                }
+                self.skipped.add(kind, 1);
+                self.events += 1;
+                taken = index + 1;
+            }
+            self.elements = Vector {
+                start: start + taken * EVENT_BYTES,
+                len: len - taken,
+            };
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+    use crate::format::open_source;
+    use crate::{EventReader, EventWriter};
+
+    const SENSOR: Sensor = Sensor {
+        width: 64,
+        height: 48,
+    };
+
+    /// Several packets, some of one time.
+    fn events() -> Vec<Event> {
+        (0..100_000_u64)
+            .map(|i| Event {
+                t_us: 1_600_000_000_000_000 + i / 3 * 5,
+                x: (i % 64) as u16,
+                y: (i / 64 % 48) as u16,
+                polarity: Polarity::from_bool(i % 7 < 3),
+            })
+            .collect()
+    }
+
+    fn file(events: &[Event]) -> Vec<u8> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.aedat4");
+        let mut writer: Box<dyn EventWriter> =
+            Box::new(Aedat4Writer::create(&path, SENSOR).unwrap());
+        writer.write(events).unwrap();
+        writer.finish().unwrap();
+        std::fs::read(path).unwrap()
+    }
+
+    /// Position of the packet table, and where the header says it.
+    fn table(bytes: &[u8]) -> (usize, usize) {
+        let at = MAGIC.len() + 40;
+        let position = i64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+        (position as usize, at)
+    }
+
+    fn open(bytes: Vec<u8>) -> Box<dyn EventReader> {
+        open_source(Box::new(Cursor::new(bytes)), "test", None).unwrap()
+    }
+
+    fn rest(reader: &mut dyn EventReader) -> Vec<Event> {
+        let mut events = Vec::new();
+        while reader.read(&mut events).unwrap() > 0 {}
+        events
+    }
+
+    #[test]
+    fn seeking_leads_to_the_packet_of_a_time() {
+        let want = events();
+        let mut reader = open(file(&want));
+        let last_us = want.last().unwrap().t_us;
+        let middle_us = want[50_000].t_us;
+        // Also back, and from the end.
+        for target in [
+            middle_us,
+            0,
+            want[0].t_us,
+            middle_us + 1,
+            last_us,
+            want[16_384].t_us,
+        ] {
+            assert!(reader.seek(target).unwrap());
+            let got = rest(reader.as_mut());
+            let from = want.len() - got.len();
+            assert_eq!(got, want[from..]);
+            assert!(want[..from].iter().all(|event| event.t_us < target));
+            let first = want.partition_point(|event| event.t_us < target);
+            assert!(first - from < 16_384, "{target}: {from}");
+        }
+        assert!(reader.seek(last_us + 1).unwrap());
+        assert_eq!(rest(reader.as_mut()), []);
+    }
+
+    #[test]
+    fn without_a_sound_table_nothing_is_sought() {
+        let want = events();
+        let bytes = file(&want);
+        let (table_at, position_at) = table(&bytes);
+        let without = |bytes: Vec<u8>| {
+            let mut reader = open(bytes);
+            let mut got = Vec::new();
+            reader.read(&mut got).unwrap();
+            assert!(!reader.seek(want[50_000].t_us).unwrap());
+            got.extend(rest(reader.as_mut()));
+            assert_eq!(got, want);
+        };
+        // Interrupted before the table, and before the header told it: there the table ends the packets.
+        let mut untold = bytes.clone();
+        untold[position_at..position_at + 8].copy_from_slice(&(-1_i64).to_le_bytes());
+        without(untold[..table_at].to_vec());
+        without(untold);
+        let mut damaged = bytes.clone();
+        damaged[table_at + 20] ^= 0x55;
+        without(damaged);
+        without([&bytes[..table_at], b"nonsense"].concat());
+        // A packet that is not where the table says: the table of another recording.
+        let other: Vec<Event> = want
+            .iter()
+            .map(|event| Event {
+                y: event.x / 2,
+                ..*event
+            })
+            .collect();
+        let other = file(&other);
+        without([&bytes[..table_at], &other[table(&other).0..]].concat());
+    }
+
+    #[test]
+    fn what_is_untold_is_sought_once_its_end_was_seen() {
+        let want = events();
+        let mut bytes = file(&want);
+        let (_, position_at) = table(&bytes);
+        bytes[position_at..position_at + 8].fill(0);
+        let mut reader = open(bytes);
+        assert_eq!(rest(reader.as_mut()), want);
+        assert!(reader.seek(want[90_000].t_us).unwrap());
+        let got = rest(reader.as_mut());
+        assert!(got.len() < 10_000 + 16_384 && want.ends_with(&got));
+    }
+
+    #[test]
+    fn events_that_cannot_be_are_refused_and_those_before_are_given() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.aedat4");
+        let stored = crate::Compression {
+            code: 0,
+            name: "NONE",
+            compress: |bytes| Ok(bytes.to_vec()),
+        };
+        let mut writer = Box::new(Aedat4Writer::with_compression(&path, SENSOR, stored).unwrap());
+        writer.write(&events()[..1000]).unwrap();
+        writer.finish().unwrap();
+        let bytes = std::fs::read(path).unwrap();
+        let end = table(&bytes).0;
+        // From the event's end: the packet is 1000 events and nothing else.
+        let event = |index: usize| end - (1000 - index) * EVENT_BYTES;
+        for (at, value, what) in [
+            (event(700) + 7, 0x80, "event 700 of the packet here (t = -"),
+            (event(700) + 9, 0x80, "x = -"),
+            (event(700) + 8, 64, "x = 64"),
+            (event(700) + 10, 48, "y = 48"),
+            (event(0) + 10, 48, "event 0 "),
+        ] {
+            let mut bytes = bytes.clone();
+            bytes[at] = value;
+            let mut reader = open(bytes);
+            let mut got = Vec::new();
+            let error = loop {
+                match reader.read(&mut got) {
+                    Ok(read) => assert!(read > 0),
+                    Err(error) => break error.to_string(),
+                }
+            };
+            assert!(error.contains(what), "{error}");
+            let before = if at < event(700) { 0 } else { 700 };
+            assert_eq!(got, events()[..before]);
+        }
+    }
+}

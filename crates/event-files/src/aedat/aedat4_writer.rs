@@ -1,0 +1,338 @@
+//! Writer of AEDAT 4.0 files: one event stream, compressed frames (LZ4 with checksums), packet table.
+
+use std::fs::File;
+use std::io::{BufWriter, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use event_types::stream::{Context, Result};
+use event_types::{Event, Polarity, Sensor};
+use lz4_flex::frame::{FrameEncoder, FrameInfo};
+
+use crate::aedat::aedat4::{EVENT_BYTES, MAGIC};
+use crate::{BATCH_EVENTS, EventWriter, create_file};
+
+/// What is said where a packet or a file grows beyond the format's fields.
+const TOO_LARGE: &str = "AEDAT 4: too large a packet or file";
+
+/// Events of a packet, at the most: 256 kB before compression.
+const PACKET_EVENTS: usize = BATCH_EVENTS;
+
+/// The stream's number, in the XML and in every packet.
+const STREAM: i32 = 0;
+
+/// Where the position of the packet table stands in the file.
+const TABLE_POSITION_AT: u64 = MAGIC.len() as u64 + 40;
+
+/// How packets are compressed.
+#[derive(Debug, Clone, Copy)]
+pub struct Compression {
+    /// The format's number of it.
+    pub code: i32,
+    /// The format's name of it.
+    pub name: &'static str,
+    /// Bytes to one frame.
+    pub compress: fn(&[u8]) -> Result<Vec<u8>>,
+}
+
+impl Compression {
+    /// LZ4 with checksums.
+    pub const LZ4: Self = Self {
+        code: 1,
+        name: "LZ4",
+        compress: lz4,
+    };
+}
+
+fn lz4(bytes: &[u8]) -> Result<Vec<u8>> {
+    let info = FrameInfo::new().content_checksum(true);
+    let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
+    encoder.write_all(bytes).context("LZ4")?;
+    encoder.finish().context("LZ4")
+}
+
+/// A packet in the packet table.
+struct Packet {
+    /// Position of its content, after the 8 bytes of its header.
+    content_at: u64,
+    size: i32,
+    events: u32,
+    first_us: i64,
+    last_us: i64,
+}
+
+/// Writer of AEDAT 4.0 files. Times up to 2^63 us, in any order.
+///
+/// It holds one packet and 40 bytes for every packet written (16,384 events).
+pub struct Aedat4Writer {
+    file: BufWriter<File>,
+    name: String,
+    sensor: Sensor,
+    compression: Compression,
+    position: u64,
+    /// Events of the packet being filled, as they will be stored.
+    pending: Vec<u8>,
+    first_us: i64,
+    last_us: i64,
+    packets: Vec<Packet>,
+    events: u64,
+}
+
+impl Aedat4Writer {
+    /// Creates the file, LZ4 inside.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
+        Self::with_compression(path, sensor, Compression::LZ4)
+    }
+
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn with_compression(path: &Path, sensor: Sensor, compression: Compression) -> Result<Self> {
+        let (file, name) = create_file(path)?;
+        let mut writer = Self {
+            file,
+            name,
+            sensor,
+            compression,
+            position: 0,
+            pending: Vec::with_capacity(PACKET_EVENTS * EVENT_BYTES),
+            first_us: i64::MAX,
+            last_us: i64::MIN,
+            packets: Vec::new(),
+            events: 0,
+        };
+        writer.put(MAGIC)?;
+        writer.put(&io_header(sensor, compression))?;
+        Ok(writer)
+    }
+
+    fn put(&mut self, bytes: &[u8]) -> Result<()> {
+        self.position += bytes.len() as u64;
+        self.file
+            .write_all(bytes)
+            .with_context(|| format!("{}: cannot be written", self.name))
+    }
+
+    fn compress(&self, bytes: &[u8]) -> Result<Vec<u8>> {
+        let compressed = (self.compression.compress)(bytes);
+        compressed.with_context(|| format!("{}: compression failed", self.name))
+    }
+
+    fn close_packet(&mut self) -> Result<()> {
+        let events = u32::try_from(self.pending.len() / EVENT_BYTES).context(TOO_LARGE)?;
+        if events == 0 {
+            return Ok(());
+        }
+        let content = self.compress(&event_packet(&self.pending, events))?;
+        self.pending.clear();
+        let size = i32::try_from(content.len()).context(TOO_LARGE)?;
+        self.put(&STREAM.to_le_bytes())?;
+        self.put(&size.to_le_bytes())?;
+        let content_at = self.position;
+        self.put(&content)?;
+        let (first_us, last_us) = (self.first_us, self.last_us);
+        self.packets.push(Packet {
+            content_at,
+            size,
+            events,
+            first_us,
+            last_us,
+        });
+        (self.first_us, self.last_us) = (i64::MAX, i64::MIN);
+        Ok(())
+    }
+}
+
+impl EventWriter for Aedat4Writer {
+    fn write(&mut self, events: &[Event]) -> Result<()> {
+        for event in events {
+            crate::check_inside(&self.name, self.events, event, self.sensor)?;
+            let t = i64::try_from(event.t_us).ok().with_context(|| {
+                let (name, t_us) = (&self.name, event.t_us);
+                format!(
+                    "{name}: event {}: time {t_us} us is above 2^63 us",
+                    self.events
+                )
+            })?;
+            self.first_us = self.first_us.min(t);
+            self.last_us = self.last_us.max(t);
+            self.pending.extend_from_slice(&t.to_le_bytes());
+            // Both are below 2048: i16 and u16 have the same bytes.
+            self.pending.extend_from_slice(&event.x.to_le_bytes());
+            self.pending.extend_from_slice(&event.y.to_le_bytes());
+            self.pending
+                .extend_from_slice(&[u8::from(event.polarity == Polarity::On), 0, 0, 0]);
+            self.events += 1;
+            if self.pending.len() >= PACKET_EVENTS * EVENT_BYTES {
+                self.close_packet()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<()> {
+        self.close_packet()?;
+        let table_position = i64::try_from(self.position).context(TOO_LARGE)?;
+        let table = self.compress(&packet_table(&self.packets))?;
+        self.put(&table)?;
+        let patched = self
+            .file
+            .seek(SeekFrom::Start(TABLE_POSITION_AT))
+            .and_then(|_| self.file.write_all(&table_position.to_le_bytes()))
+            .and_then(|()| self.file.flush());
+        patched.with_context(|| format!("{}: cannot be written", self.name))
+    }
+}
+
+/// The `IOHE` table with its size, packet table position -1: with no table yet, an interrupted
+/// file still reads. A `FlatBuffer` may be laid out in any order that its offsets allow; scalars
+/// of 8 bytes stand at multiples of 8 from the start of the size.
+fn io_header(sensor: Sensor, compression: Compression) -> Vec<u8> {
+    let Sensor { width, height } = sensor;
+    let Compression { code, name, .. } = compression;
+    let xml = format!(
+        r#"<dv version="2.0">
+    <node name="outInfo" path="/mainloop/Recorder/outInfo/">
+        <node name="{STREAM}" path="/mainloop/Recorder/outInfo/{STREAM}/">
+            <attr key="compression" type="string">{name}</attr>
+            <attr key="originalModuleName" type="string">eecvs</attr>
+            <attr key="originalOutputName" type="string">events</attr>
+            <attr key="typeDescription" type="string">Array of events (polarity ON/OFF).</attr>
+            <attr key="typeIdentifier" type="string">EVTS</attr>
+            <node name="info" path="/mainloop/Recorder/outInfo/{STREAM}/info/">
+                <attr key="sizeX" type="int">{width}</attr>
+                <attr key="sizeY" type="int">{height}</attr>
+                <attr key="source" type="string">EECVS</attr>
+                <attr key="tsOffset" type="long">0</attr>
+            </node>
+        </node>
+    </node>
+</dv>
+"#
+    );
+    let mut bytes = vec![0; 18];
+    // vtable at 18: its size, the table's size, offsets of compression, position, description.
+    for value in [10_u16, 24, 4, 12, 8] {
+        bytes.extend_from_slice(&value.to_le_bytes());
+    }
+    // Table at 28: back to its vtable, compression, description 16 bytes on, position -1.
+    bytes.extend_from_slice(&10_i32.to_le_bytes());
+    bytes.extend_from_slice(&code.to_le_bytes());
+    bytes.extend_from_slice(&16_u32.to_le_bytes());
+    bytes.extend_from_slice(&(-1_i64).to_le_bytes());
+    bytes.extend_from_slice(&[0; 4]);
+    bytes.extend_from_slice(&(xml.len() as u32).to_le_bytes());
+    bytes.extend_from_slice(xml.as_bytes());
+    // Strings end with a 0 that their length leaves out.
+    bytes.push(0);
+    pad(&mut bytes);
+    finish(bytes, 28, b"IOHE")
+}
+
+/// An `EVTS` packet around events of 16 bytes.
+fn event_packet(events: &[u8], count: u32) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(32 + events.len());
+    bytes.resize(14, 0);
+    // vtable at 14, table at 20 with the vector's offset at 24, the vector's length at 28.
+    for value in [6_u16, 8, 4] {
+        bytes.extend_from_slice(&value.to_le_bytes());
+    }
+    bytes.extend_from_slice(&6_i32.to_le_bytes());
+    bytes.extend_from_slice(&4_u32.to_le_bytes());
+    bytes.extend_from_slice(&count.to_le_bytes());
+    bytes.extend_from_slice(events);
+    finish(bytes, 20, b"EVTS")
+}
+
+/// Bytes from one table of a packet to the next, and where its vtable stands.
+const ENTRY_BYTES: usize = 48;
+const ENTRY_VTABLE_AT: usize = 18;
+
+/// The `FTAB` table: per packet the position and size of its content, its events and times.
+fn packet_table(packets: &[Packet]) -> Vec<u8> {
+    let mut bytes = vec![0; ENTRY_VTABLE_AT];
+    // vtable of the entries at 18: position, packet header, events, first and last time.
+    for value in [14_u16, 44, 4, 12, 20, 28, 36] {
+        bytes.extend_from_slice(&value.to_le_bytes());
+    }
+    // vtable at 32, table at 38 + 2 with the vector's offset at 44, the vector's length at 48.
+    for value in [6_u16, 8, 4, 0] {
+        bytes.extend_from_slice(&value.to_le_bytes());
+    }
+    bytes.extend_from_slice(&8_i32.to_le_bytes());
+    bytes.extend_from_slice(&4_u32.to_le_bytes());
+    bytes.extend_from_slice(&(packets.len() as u32).to_le_bytes());
+    // The entries begin 4 bytes after a multiple of 8, so that their first field stands at one.
+    let offsets_at = bytes.len();
+    let first = (offsets_at + 4 * packets.len() + 3) / 8 * 8 + 4;
+    for index in 0..packets.len() {
+        let entry = first + index * ENTRY_BYTES;
+        let offset = entry - (offsets_at + 4 * index);
+        bytes.extend_from_slice(&(offset as u32).to_le_bytes());
+    }
+    for (index, packet) in packets.iter().enumerate() {
+        let entry = first + index * ENTRY_BYTES;
+        bytes.resize(entry, 0);
+        bytes.extend_from_slice(&((entry - ENTRY_VTABLE_AT) as i32).to_le_bytes());
+        bytes.extend_from_slice(&(packet.content_at as i64).to_le_bytes());
+        bytes.extend_from_slice(&STREAM.to_le_bytes());
+        bytes.extend_from_slice(&packet.size.to_le_bytes());
+        bytes.extend_from_slice(&i64::from(packet.events).to_le_bytes());
+        bytes.extend_from_slice(&packet.first_us.to_le_bytes());
+        bytes.extend_from_slice(&packet.last_us.to_le_bytes());
+    }
+    pad(&mut bytes);
+    finish(bytes, 40, b"FTAB")
+}
+
+fn pad(bytes: &mut Vec<u8>) {
+    bytes.resize(bytes.len().next_multiple_of(8), 0);
+}
+
+/// Writes the size, the root table's offset and the four letters into the first 12 bytes.
+fn finish(mut bytes: Vec<u8>, root_at: u32, letters: &[u8; 4]) -> Vec<u8> {
+    let size = (bytes.len() - 4) as u32;
+    let start = [size.to_le_bytes(), (root_at - 4).to_le_bytes(), *letters].concat();
+    bytes.splice(..12, start);
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flatbuffer::Buffer;
+
+    #[test]
+    fn the_packet_table_reads_back() {
+        for count in 0..4 {
+            let packets: Vec<Packet> = (0..count)
+                .map(|i| Packet {
+                    content_at: 1000 + i,
+                    size: 7 + i as i32,
+                    events: 3,
+                    first_us: 10 * i as i64,
+                    last_us: 10 * i as i64 + 5,
+                })
+                .collect();
+            let bytes = packet_table(&packets);
+            let (buffer, root) = Buffer::root(&bytes, b"FTAB").expect("a table");
+            let vector = buffer.vector(root, 0).expect("entries");
+            assert_eq!(vector.len, packets.len());
+            for (index, packet) in packets.iter().enumerate() {
+                let entry = buffer.element(vector, index).expect("an entry");
+                let position = buffer.inline(entry, 0).expect("a position");
+                assert_eq!(position % 8, 0);
+                assert_eq!(buffer.i64(entry, 0, 0), Some(packet.content_at as i64));
+                let header = buffer.inline(entry, 1).expect("a packet header");
+                assert_eq!(buffer.bytes(header), Some(STREAM.to_le_bytes()));
+                assert_eq!(buffer.bytes(header + 4), Some(packet.size.to_le_bytes()));
+                assert_eq!(buffer.i64(entry, 2, 0), Some(3));
+                assert_eq!(buffer.i64(entry, 3, -1), Some(packet.first_us));
+                assert_eq!(buffer.i64(entry, 4, -1), Some(packet.last_us));
+            }
+        }
+    }
+}

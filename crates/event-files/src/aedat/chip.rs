@@ -1,0 +1,222 @@
+//! The cameras of AEDAT 1 to 3: their names, sizes and layouts of addresses.
+//!
+//! jAER writes the class of a chip into its files (`eu.seebetter.ini.chips.davis.Davis346red`), cAER a short name
+//! (`DAVIS346B`); both differ in letters and in what follows the size. A DAVIS of every size has one layout of
+//! addresses, mirrored about its own last column, so that a wrong size gives wrong columns and no error.
+
+use event_types::{Event, Polarity, Sensor};
+
+/// How an AEDAT 2 address tells pixel and polarity.
+///
+/// | layout | x | y | polarity | not an event |
+/// |---|---|---|---|---|
+/// | DVS128 | 127 - bits 7..1 | bits 14..8 | bit 0, 0 = ON | bit 15: external |
+/// | DAVIS | width - 1 - bits 21..12 | bits 30..22 | bit 11, 1 = ON | bit 31: APS or IMU; bit 10: external |
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Layout {
+    /// 16 bits.
+    Dvs128,
+    /// 32 bits.
+    Davis,
+}
+
+/// A chip: how its addresses are laid out, and its size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Chip {
+    /// Layout of its addresses.
+    pub layout: Layout,
+    /// Its size.
+    pub sensor: Sensor,
+}
+
+const fn davis(width: u16, height: u16) -> Chip {
+    Chip {
+        layout: Layout::Davis,
+        sensor: Sensor { width, height },
+    }
+}
+
+impl Chip {
+    /// The DVS128.
+    pub const DVS128: Self = Self {
+        layout: Layout::Dvs128,
+        sensor: Sensor {
+            width: 128,
+            height: 128,
+        },
+    };
+
+    /// The DAVIS240C and all others of its size.
+    pub const DAVIS240: Self = davis(240, 180);
+
+    /// How the names of chips begin, in small letters. The DAVIS240 was called SBret and SeeBetter first.
+    const NAMES: [(&'static str, Self); 16] = [
+        ("dvs128", Self::DVS128),
+        ("tmpdiff128", Self::DVS128),
+        ("edvs", Self::DVS128),
+        ("davis240", Self::DAVIS240),
+        ("dvs240", Self::DAVIS240),
+        ("sbret10", Self::DAVIS240),
+        ("sbret20", Self::DAVIS240),
+        ("sbret21", Self::DAVIS240),
+        ("davis128", davis(128, 128)),
+        ("davis208", davis(208, 192)),
+        ("pixelparade", davis(208, 192)),
+        ("sensdavis192", davis(208, 192)),
+        ("davis320", davis(320, 240)),
+        ("davis346", davis(346, 260)),
+        ("davi346", davis(346, 260)),
+        ("davis640", davis(640, 480)),
+    ];
+
+    /// The chip of a name or of a Java class, if it is known.
+    #[must_use]
+    pub fn of_name(name: &str) -> Option<Self> {
+        let class = name.trim().rsplit('.').next().unwrap_or_default();
+        let class = class.to_ascii_lowercase();
+        let known = |(start, _): &&(&str, Self)| class.starts_with(start);
+        Self::NAMES.iter().find(known).map(|(_, chip)| *chip)
+    }
+
+    /// The class that jAER knows it by, where a writer needs one.
+    #[must_use]
+    pub const fn class(self) -> &'static str {
+        match self.layout {
+            Layout::Dvs128 => "ch.unizh.ini.jaer.chip.retina.DVS128",
+            Layout::Davis => "eu.seebetter.ini.chips.davis.DAVIS240C",
+        }
+    }
+
+    /// Column, row and polarity of an address, or the name of what it is instead.
+    ///
+    /// # Errors
+    /// What is skipped.
+    pub fn decode(self, address: u32) -> Result<(i64, i64, Polarity), &'static str> {
+        match self.layout {
+            Layout::Dvs128 if address >> 16 != 0 => Err("unknown words"),
+            Layout::Dvs128 if address & 0x8000 != 0 => Err("external events"),
+            Layout::Davis if address >> 31 != 0 => Err("APS and IMU words"),
+            Layout::Davis if address & 0x400 != 0 => Err("external events"),
+            layout => {
+                let (x, y) = layout.fields(address);
+                let on = match layout {
+                    Layout::Dvs128 => address & 1 == 0,
+                    Layout::Davis => address & 0x800 != 0,
+                };
+                let last = i64::from(self.sensor.width) - 1;
+                Ok((last - i64::from(x), y.into(), Polarity::from_bool(on)))
+            }
+        }
+    }
+
+    /// Address of a pixel inside of the sensor.
+    #[must_use]
+    pub fn encode(self, event: &Event) -> u32 {
+        let (x, y) = (u32::from(event.x), u32::from(event.y));
+        let on = u32::from(event.polarity == Polarity::On);
+        let last = u32::from(self.sensor.width) - 1;
+        match self.layout {
+            Layout::Dvs128 => y << 8 | (last - x) << 1 | (1 - on),
+            Layout::Davis => y << 22 | (last - x) << 12 | on << 11,
+        }
+    }
+}
+
+impl Layout {
+    /// The fields of x, as it is in the address, and of y.
+    #[must_use]
+    pub const fn fields(self, address: u32) -> (u32, u32) {
+        match self {
+            Self::Dvs128 => (address >> 1 & 0x7f, address >> 8 & 0x7f),
+            Self::Davis => (address >> 12 & 0x3ff, address >> 22 & 0x1ff),
+        }
+    }
+
+    /// Whether an address may be one of this layout.
+    #[must_use]
+    pub const fn allows(self, address: u32) -> bool {
+        match self {
+            Self::Dvs128 => address >> 16 == 0,
+            // The lower bits are those of samples and of the types of external events.
+            Self::Davis => address >> 31 != 0 || address & 0x3ff == 0,
+        }
+    }
+
+    /// Its name in messages.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Dvs128 => "DVS128",
+            Self::Davis => "DAVIS",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_jaer_and_caer() {
+        let size = |name: &str| {
+            let Sensor { width, height } = Chip::of_name(name)?.sensor;
+            Some((width, height))
+        };
+        for (name, want) in [
+            ("ch.unizh.ini.jaer.chip.retina.DVS128", Some((128, 128))),
+            ("DVS128", Some((128, 128))),
+            ("eu.seebetter.ini.chips.DAViS.SBret10", Some((240, 180))),
+            ("SBRet21", Some((240, 180))),
+            (
+                "eu.seebetter.ini.chips.davis.DAVIS240BaseCamera",
+                Some((240, 180)),
+            ),
+            (
+                "eu.seebetter.ini.chips.davis.Davis208PixelParadeColor",
+                Some((208, 192)),
+            ),
+            ("eu.seebetter.ini.chips.davis.Davis346red", Some((346, 260))),
+            (
+                "eu.seebetter.ini.chips.davis.Davis346BColor",
+                Some((346, 260)),
+            ),
+            ("DAVI346", Some((346, 260))),
+            ("DAVIS346zero", Some((346, 260))),
+            (
+                "eu.seebetter.ini.chips.davis.Davis640Color",
+                Some((640, 480)),
+            ),
+            ("eu.seebetter.ini.chips.davis.Davis128", Some((128, 128))),
+            ("eu.seebetter.ini.chips.davis.CDAVIS", None),
+            ("ch.unizh.ini.jaer.chip.cochlea.CochleaAMS1c", None),
+            ("", None),
+        ] {
+            assert_eq!(size(name), want, "{name}");
+        }
+        assert_eq!(
+            Chip::of_name("Davis128").map(|chip| chip.layout),
+            Some(Layout::Davis)
+        );
+    }
+
+    #[test]
+    fn addresses_read_back() {
+        for chip in Chip::NAMES.map(|(_, chip)| chip) {
+            let Sensor { width, height } = chip.sensor;
+            for (x, y) in [(0, 0), (width - 1, height - 1), (width / 3, height / 2)] {
+                for polarity in [Polarity::On, Polarity::Off] {
+                    let event = Event {
+                        t_us: 0,
+                        x,
+                        y,
+                        polarity,
+                    };
+                    let address = chip.encode(&event);
+                    let want = (i64::from(x), i64::from(y), polarity);
+                    assert_eq!(chip.decode(address), Ok(want), "{chip:?}");
+                    assert!(chip.layout.allows(address));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! The packet table of AEDAT 4, by which a recording is sought.
+//!
+//! `FTAB`: a vector of tables, one for each packet in the file. Its fields: i64 position of the packet's
+//! content (after its header of 8 bytes), the header itself (i32 stream, i32 size), i64 number of elements,
+//! i64 first and i64 last time in us. Packets without times have -1 or nothing there.
+//!
+//! Nothing in the file depends on it but the time that is saved: a table that is damaged, or does not agree
+//! with the packets, is not used.
+
+use crate::flatbuffer::{Buffer, Table};
+
+/// A packet of the stream that is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Entry {
+    /// Byte of the packet's header.
+    pub header_at: u64,
+    /// Bytes of its content.
+    pub size: i32,
+    /// Number of its events.
+    pub events: u64,
+    /// Time of its last event.
+    pub last_us: u64,
+}
+
+/// Packets of one stream, in the order of the file.
+#[derive(Debug, Default)]
+pub(crate) struct PacketTable(Vec<Entry>);
+
+impl PacketTable {
+    /// The packets of `stream` that `bytes`, a whole `FTAB` buffer, names; none where it is damaged.
+    pub fn parse(bytes: &[u8], stream: i32) -> Option<Self> {
+        let (buffer, root) = Buffer::root(bytes, b"FTAB")?;
+        let vector = buffer.vector(root, 0)?;
+        let mut entries = Vec::new();
+        for index in 0..vector.len {
+            // Every element takes 4 bytes of the buffer, so a count beyond it ends here.
+            let table = buffer.element(vector, index)?;
+            if let Some(entry) = entry(buffer, table, stream)? {
+                entries.push(entry);
+            }
+        }
+        entries.sort_by_key(|entry: &Entry| entry.header_at);
+        Some(Self(entries))
+    }
+
+    /// The first packet behind which every event of `t_us` and later stands, and the number of the events
+    /// before it; no packet where all events are earlier.
+    pub fn place(&self, t_us: u64) -> (Option<Entry>, u64) {
+        let Self(entries) = self;
+        let found = entries.iter().position(|entry| entry.last_us >= t_us);
+        let before = entries.iter().take(found.unwrap_or(entries.len()));
+        let events = before.fold(0_u64, |sum, entry| sum.saturating_add(entry.events));
+        (found.and_then(|at| entries.get(at).copied()), events)
+    }
+}
+
+/// An entry of `stream` that has times; `None` where it is damaged.
+fn entry(buffer: Buffer<'_>, table: Table, stream: i32) -> Option<Option<Entry>> {
+    let content_at = u64::try_from(buffer.i64(table, 0, 0)?).ok()?;
+    let header = buffer.inline(table, 1)?;
+    let id = i32::from_le_bytes(buffer.bytes(header)?);
+    let size = i32::from_le_bytes(buffer.bytes(header.checked_add(4)?)?);
+    let events = u64::try_from(buffer.i64(table, 2, 0)?).ok()?;
+    let last_us = u64::try_from(buffer.i64(table, 4, -1)?);
+    let header_at = content_at.checked_sub(8)?;
+    Some(match last_us {
+        Ok(last_us) if id == stream => Some(Entry {
+            header_at,
+            size,
+            events,
+            last_us,
+        }),
+        _ => None,
+    })
+}

@@ -1,0 +1,292 @@
+//! Prophesee RAW with EVT 2.1 words: 64 bits, vectors of up to 32 columns ([`crate::evt::evt21_word`]).
+//!
+//! Definition: "EVT 2.1 Format" in Prophesee's documentation, and the decoder of their OpenEB. x counts
+//! from the left and y from the top, as in every RAW file; type 1 is a rise in brightness, ON. The 34
+//! bits of time wrap every 4.8 hours; the wraps are carried as [`crate::evt::evt2`] does.
+//!
+//! The bytes of a word come in one of two orders ([`Order`]). The header tells by
+//! `% endianness` or `% format EVT21;endianness=`: `legacy` is the upper half first, `little` the whole
+//! word. Where it does not, the words tell: in the right order `EVT_TIME_HIGH`s ascend, in the other one
+//! their place is a vector's columns. OpenEB takes such a file by the number of its board, which other
+//! recorders do not write.
+//!
+//! Triggers, vendor words and vectors without events are skipped and counted, and events before the first
+//! `EVT_TIME_HIGH`, which have no time. A file cannot be sought: nothing bounds the time that passes
+//! between two words, so how often it has wrapped is known only from all the words before.
+
+use std::path::Path;
+
+use event_types::stream::Result;
+use event_types::{Event, Polarity, Sensor};
+
+use crate::evt::evt21_word::{
+    HIGH_BITS, LOW_BITS, Order, SIDE, TIME_HIGH, TIME_SHIFT, TYPE_SHIFT, X_SHIFT, Y_SHIFT,
+};
+use crate::evt::header::RawFile;
+use crate::evt::row::{Outside, Row};
+use crate::evt::writer::RawWriter;
+use crate::evt::{evt21_word, header as raw_header};
+use crate::format::{Format, Limits, Opening};
+use crate::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
+use crate::wrapping::Wrapping;
+use crate::{EventWriter, Skipped};
+
+/// Events that one word can hold.
+const WORD_EVENTS: usize = evt21_word::COLUMNS as usize;
+
+/// Words that the order of the bytes is found from, where the header does not tell it.
+const ORDER_WORDS: usize = 1 << 14;
+
+/// Largest step from one `EVT_TIME_HIGH` to the next that speaks for an order: 17 minutes.
+const STEP_MAX: u64 = 1 << 24;
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "evt21",
+    title: "Prophesee RAW EVT 2.1",
+    endings: &[".evt21.raw", ".evt21"],
+    detect: |start| start.holds(raw_header::Words::Evt21),
+    open: |Opening {
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(Evt21Reader::new(source, name, reading.size)?)),
+    has_places: false,
+    is_table: false,
+    grows: true,
+    streams: true,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(Evt21Writer::create(path, sensor)?))),
+};
+
+/// Reader of EVT 2.1 files.
+pub type Evt21Reader = Reader<Evt21Decoder>;
+
+impl Evt21Reader {
+    /// Reads `source`, which messages call `name`; `size` counts where the header names no size.
+    ///
+    /// # Errors
+    /// No EVT 2.1 header, no sensor size, an unknown order of bytes.
+    pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
+        let RawFile {
+            mut input,
+            header,
+            sensor,
+            t0_us,
+        } = RawFile::open(source, name, size, raw_header::Words::Evt21)?;
+        let order = match header.endianness.as_deref() {
+            Some("legacy") => Order::UpperFirst,
+            Some("little") => Order::Little,
+            Some(other) => {
+                let what =
+                    format!("endianness {other} is not known: write the words as little or legacy");
+                return Err(input.error_at(0, what));
+            }
+            None => order_of_words(&mut input, sensor)?,
+        };
+        Ok(Self::around(Evt21Decoder {
+            input,
+            words: Words::default(),
+            order,
+            sensor,
+            camera: header.camera,
+            t0_us,
+            high: Wrapping::new(HIGH_BITS, header.time_base_us >> LOW_BITS),
+            events: 0,
+            skipped: Skipped::default(),
+        }))
+    }
+}
+
+/// State between two words.
+pub struct Evt21Decoder {
+    input: Input,
+    words: Words<8>,
+    order: Order,
+    sensor: Sensor,
+    camera: Option<String>,
+    t0_us: u64,
+    /// Time bits 6 and up; without a value before the first `EVT_TIME_HIGH`.
+    high: Wrapping,
+    events: u64,
+    skipped: Skipped,
+}
+
+impl Evt21Decoder {
+    /// Emits the events of a vector.
+    fn vector(&mut self, word: u64, batch: &mut Batch<'_>) -> Result<()> {
+        let columns = word as u32;
+        if columns == 0 {
+            self.skipped.add("empty vectors", 1);
+            return Ok(());
+        }
+        let Some(high) = self.high.last() else {
+            let count = u64::from(columns.count_ones());
+            self.skipped.add("events before the first time", count);
+            return Ok(());
+        };
+        let low = word >> TIME_SHIFT & ((1 << LOW_BITS) - 1);
+        let t_us = (high << LOW_BITS | low) + self.t0_us;
+        let polarity = Polarity::from_bool(word >> TYPE_SHIFT == 1);
+        let y = (word >> Y_SHIFT & SIDE) as u16;
+        let x = (word >> X_SHIFT & SIDE) as u32;
+        let row = Row { t_us, y, polarity };
+        let mut columns = columns;
+        while let Err(outside) = row.emit(x, columns, self.sensor, &mut self.events, batch) {
+            let Outside { x, y, left } = outside;
+            let (offset, pixel) = (self.words.offset(&self.input), (x.into(), y.into()));
+            self.input
+                .outside(offset, self.events, pixel, self.sensor, &mut self.skipped)?;
+            self.events += 1;
+            columns = left;
+        }
+        Ok(())
+    }
+}
+
+impl Decode for Evt21Decoder {
+    fn format(&self) -> &'static str {
+        "evt21"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.camera.as_deref()
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.input.leave_out_bad_events();
+        true
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
+        while batch.room() >= WORD_EVENTS {
+            let Some(bytes) = self.words.next(&mut self.input)? else {
+                break;
+            };
+            let word = self.order.word(bytes);
+            match word >> TYPE_SHIFT {
+                0 | 1 => self.vector(word, batch)?,
+                TIME_HIGH => {
+                    self.high.extend(evt21_word::time_high(word));
+                }
+                0xa => self.skipped.add("triggers", 1),
+                0xe => self.skipped.add("other words", 1),
+                0xf => self.skipped.add("continued words", 1),
+                _ => self.skipped.add("unknown words", 1),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The order that the first words speak for; the input stays where it is.
+fn order_of_words(input: &mut Input, sensor: Sensor) -> Result<Order> {
+    let start = input.offset();
+    let mut words = Words::<8>::default();
+    let orders = [Order::Little, Order::UpperFirst];
+    let mut evidence = orders.map(|order| Evidence::new(order, sensor));
+    for _ in 0..ORDER_WORDS {
+        // The reader will meet a damage again, after the events before it.
+        let Ok(Some(bytes)) = words.next(input) else {
+            break;
+        };
+        for evidence in &mut evidence {
+            evidence.take(bytes);
+        }
+    }
+    input.seek(start)?;
+    let [little, upper_first] = evidence.map(|evidence| evidence.score);
+    Ok(match upper_first > little {
+        true => Order::UpperFirst,
+        false => Order::Little,
+    })
+}
+
+/// What speaks for an order of bytes.
+struct Evidence {
+    order: Order,
+    sensor: Sensor,
+    last: Option<u64>,
+    /// Rising times less all that no sensor sends.
+    score: i64,
+}
+
+impl Evidence {
+    const fn new(order: Order, sensor: Sensor) -> Self {
+        Self {
+            order,
+            sensor,
+            last: None,
+            score: 0,
+        }
+    }
+
+    fn take(&mut self, bytes: [u8; 8]) {
+        let word = self.order.word(bytes);
+        self.score += match word >> TYPE_SHIFT {
+            0 | 1 => {
+                let x = (word >> X_SHIFT & SIDE) as u16;
+                let y = (word >> Y_SHIFT & SIDE) as u16;
+                -i64::from(!self.sensor.contains(x, y))
+            }
+            TIME_HIGH => {
+                let high = evt21_word::time_high(word);
+                let last = self.last.replace(high);
+                match last.map(|last| high.checked_sub(last)) {
+                    // A first one, a repeated one.
+                    None | Some(Some(0)) => 0,
+                    Some(Some(step)) if step <= STEP_MAX => 1,
+                    // Back, a wrap, or no time at all.
+                    Some(_) => -1,
+                }
+            }
+            0xa | 0xe | 0xf => 0,
+            _ => -1,
+        };
+    }
+}
+
+/// Writer of EVT 2.1 files, the whole word little-endian; neighbours in one row share a word.
+///
+/// Holds what [`crate::evt::evt2::Evt2Writer`] holds.
+pub struct Evt21Writer(RawWriter);
+
+impl Evt21Writer {
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
+        let bits = (HIGH_BITS, LOW_BITS);
+        RawWriter::create(path, sensor, raw_header::Words::Evt21, bits).map(Self)
+    }
+}
+
+impl EventWriter for Evt21Writer {
+    fn write(&mut self, events: &[Event]) -> Result<()> {
+        let order = Order::Little;
+        let mut rest = events;
+        while !rest.is_empty() {
+            let (count, word) = evt21_word::vector(rest);
+            let (now, later) = rest.split_at(count);
+            self.0
+                .begin(now, |high| order.bytes(evt21_word::time_word(high)))?;
+            self.0.put(&order.bytes(word))?;
+            rest = later;
+        }
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>) -> Result<()> {
+        self.0.finish()
+    }
+}

@@ -1,0 +1,587 @@
+//! Prophesee RAW with EVT 3.0 words: 16 bits, little-endian, the type in the upper four.
+//!
+//! | type | bits 11..0 |
+//! |---|---|
+//! | 0 `ADDR_Y` | 10..0 y |
+//! | 2 `ADDR_X` | 11 polarity, 10..0 x: one event |
+//! | 3 `VECT_BASE_X` | 11 polarity, 10..0 first x of the vectors that follow |
+//! | 4 `VECT_12`, 5 `VECT_8` | bit i: an event at x + i; then x advances by 12 or 8 |
+//! | 6 `TIME_LOW`, 8 `TIME_HIGH` | time bits 11..0, 23..12 |
+//! | A `EXT_TRIGGER`, 7 and F CONTINUED, E OTHERS | skipped and counted |
+//!
+//! `TIME_HIGH` alone carries the overflow: a `TIME_LOW` may step back by a few microseconds after a
+//! `TIME_HIGH`, and taking that for a wrap stretches a recording. A new `TIME_HIGH` value sets the
+//! low bits to 0 until `TIME_LOW` follows; a repeated one keeps them. The 24 bits of time wrap
+//! every 16.8 s; the wraps are carried. Events before the first `TIME_HIGH` have no time, those
+//! before the first `ADDR_Y` no row, vectors before the first `VECT_BASE_X` no column: they are
+//! counted and skipped.
+//!
+//! It is not sought: the file has no index, a word's row and time stand any number of words before it, and
+//! whether the 24 bits of time have wrapped between two places only the words between them tell.
+//!
+//! The crate `evt3` decodes the shared recordings alike, but its column counter overflows
+//! (a panic in debug builds) on a long run of vectors, it gives no offsets, and it drops unknown
+//! words and events without a time uncounted; so this is our own decoder and `evt3` is its peer
+//! in the tests.
+
+use std::hint::select_unpredictable;
+use std::path::Path;
+
+use event_types::stream::Result;
+use event_types::{Event, Polarity, Sensor};
+
+use crate::evt::header as raw_header;
+use crate::evt::header::RawFile;
+use crate::evt::row::{Outside, Row};
+use crate::evt::writer::RawWriter;
+use crate::format::{Format, Limits, Opening};
+use crate::input::{Batch, Decode, Input, OUTSIDE, ReadSeek, Reader, Words};
+use crate::word_runs::{NO_EVENT, RUN_WORDS, plain_words};
+use crate::wrapping::Wrapping;
+use crate::{EventWriter, Skipped};
+
+/// Type of a word that tells the row.
+pub const ADDR_Y: u16 = 0x0;
+/// Type of a word that is an event.
+pub const ADDR_X: u16 = 0x2;
+/// Type of a word that tells the column and the polarity of the vectors after it.
+pub const VECT_BASE_X: u16 = 0x3;
+/// Type of a vector of 12 columns.
+pub const VECT_12: u16 = 0x4;
+/// Type of a vector of 8 columns.
+pub const VECT_8: u16 = 0x5;
+/// Type of a word with the lower bits of time.
+pub const TIME_LOW: u16 = 0x6;
+/// Type of a word with the upper bits of time.
+pub const TIME_HIGH: u16 = 0x8;
+/// Bits of each part of time.
+pub const TIME_BITS: u32 = 12;
+
+/// Type of a word of a trigger.
+const TRIGGER: u16 = 0xa;
+/// Type of a word that continues another one, in its lower three bits.
+const CONTINUED: u16 = 0x7;
+/// Type of a word that begins something of the vendor's.
+const OTHER: u16 = 0xe;
+
+/// Events that one word can hold.
+pub(crate) const VECTOR_EVENTS: usize = 12;
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "evt3",
+    title: "Prophesee RAW EVT 3",
+    endings: &[".raw", ".evt3"],
+    detect: |start| start.holds(raw_header::Words::Evt3),
+    open: |Opening {
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(Evt3Reader::new(source, name, reading.size)?)),
+    has_places: false,
+    is_table: false,
+    grows: true,
+    streams: true,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(Evt3Writer::create(path, sensor)?))),
+};
+
+/// Reader of EVT 3.0 files.
+pub type Evt3Reader = Reader<Evt3Decoder>;
+
+impl Evt3Reader {
+    /// Reads `source`, which messages call `name`; `size` counts where the header names no size.
+    ///
+    /// # Errors
+    /// No EVT 3.0 header, no sensor size.
+    pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
+        let RawFile {
+            input,
+            header,
+            sensor,
+            t0_us,
+        } = RawFile::open(source, name, size, raw_header::Words::Evt3)?;
+        let mut decoder = WordDecoder::new(sensor, header.time_base_us);
+        decoder.t0_us = t0_us;
+        Ok(Self::around(Evt3Decoder {
+            input,
+            words: Words::default(),
+            camera: header.camera,
+            decoder,
+            skipped: Skipped::default(),
+        }))
+    }
+}
+
+/// State between two words.
+pub struct Evt3Decoder {
+    input: Input,
+    words: Words<2>,
+    camera: Option<String>,
+    decoder: WordDecoder,
+    skipped: Skipped,
+}
+
+impl Decode for Evt3Decoder {
+    fn format(&self) -> &'static str {
+        "evt3"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.decoder.sensor
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.camera.as_deref()
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.decoder.leave_out = true;
+        true
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
+        let mut scratch = [NO_EVENT; RUN_WORDS];
+        while batch.room() >= VECTOR_EVENTS {
+            let most = batch.room().min(RUN_WORDS);
+            let (offset, run) = self.words.run(&mut self.input, most)?;
+            if run.is_empty() {
+                break;
+            }
+            let plain = self.decoder.plain(run);
+            let mut taken = 0;
+            while let Some(rest) = run.get(taken..).filter(|rest| !rest.is_empty()) {
+                let is_plain = plain.get(taken..).unwrap_or_default();
+                let count = self
+                    .decoder
+                    .decode_plain(rest, is_plain, &mut scratch, batch);
+                count_skipped(rest.get(..count).unwrap_or_default(), &mut self.skipped);
+                taken += count;
+                let Some(word) = run.get(taken) else {
+                    break;
+                };
+                if batch.room() < VECTOR_EVENTS {
+                    break;
+                }
+                let word = u16::from_le_bytes(*word);
+                let decoded = self.decoder.decode(word, batch, &mut self.skipped);
+                if let Err(Outside { x, y, .. }) = decoded {
+                    let offset = offset + 2 * taken as u64;
+                    let WordDecoder { events, sensor, .. } = self.decoder;
+                    let pixel = (x.into(), y.into());
+                    self.input
+                        .outside(offset, events, pixel, sensor, &mut self.skipped)?;
+                }
+                taken += 1;
+                if word >> 12 == TIME_HIGH {
+                    // What is plain depends on it.
+                    break;
+                }
+            }
+            let left = run.len() - taken;
+            self.words.back(left);
+        }
+        Ok(())
+    }
+}
+
+/// Counts those of `words` that are no events and tell nothing about any.
+fn count_skipped(words: &[[u8; 2]], skipped: &mut Skipped) {
+    let (mut triggers, mut continued, mut others) = (0_u16, 0_u16, 0_u16);
+    for word in words {
+        let kind = u16::from_le_bytes(*word) >> 12;
+        triggers += u16::from(kind == TRIGGER);
+        continued += u16::from(kind & 0x7 == CONTINUED);
+        others += u16::from(kind == OTHER);
+    }
+    skipped.add("triggers", triggers.into());
+    skipped.add("continued words", continued.into());
+    skipped.add("other words", others.into());
+}
+
+/// What words have said so far, wherever they come from.
+#[derive(Debug)]
+pub(crate) struct WordDecoder {
+    sensor: Sensor,
+    /// Time bits 12 and up; without a value before the first `TIME_HIGH`.
+    high: Wrapping,
+    low: u16,
+    /// Added to every time.
+    t0_us: u64,
+    y: Option<u16>,
+    /// First x of the next vector and its polarity. x may run past the sensor, where a vector
+    /// must be empty.
+    base: Option<(u32, Polarity)>,
+    /// Events given so far.
+    pub events: u64,
+    /// Whether events outside of the sensor are counted instead of refused.
+    pub leave_out: bool,
+}
+
+impl WordDecoder {
+    /// Begins in the period of time that holds `start_us`.
+    pub fn new(sensor: Sensor, start_us: u64) -> Self {
+        Self {
+            sensor,
+            high: Wrapping::new(TIME_BITS, start_us >> TIME_BITS),
+            low: 0,
+            t0_us: 0,
+            y: None,
+            base: None,
+            events: 0,
+            leave_out: false,
+        }
+    }
+
+    /// Of the rows and columns.
+    pub const fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    /// Time of an event that came next, once a `TIME_HIGH` has come.
+    pub fn t_us(&self) -> Option<u64> {
+        let high = self.high.last()?;
+        Some((high << TIME_BITS | u64::from(self.low)) + self.t0_us)
+    }
+
+    /// Adds to every time.
+    pub fn add_us(&mut self, t_us: u64) {
+        self.t0_us += t_us;
+    }
+
+    /// Emits the events at `x + i` for every bit i of `bits`.
+    fn emit(
+        &mut self,
+        x: u32,
+        bits: u16,
+        polarity: Polarity,
+        batch: &mut Batch<'_>,
+        skipped: &mut Skipped,
+    ) -> Result<(), Outside> {
+        let (high, y) = match (self.high.last(), self.y) {
+            (Some(high), Some(y)) => (high, y),
+            (None, _) => {
+                skipped.add("events before the first time", u64::from(bits.count_ones()));
+                return Ok(());
+            }
+            (_, None) => {
+                skipped.add("events before the first row", u64::from(bits.count_ones()));
+                return Ok(());
+            }
+        };
+        let t_us = (high << TIME_BITS | u64::from(self.low)) + self.t0_us;
+        let row = Row { t_us, y, polarity };
+        let mut bits = bits.into();
+        while let Err(outside) = row.emit(x, bits, self.sensor, &mut self.events, batch) {
+            if !self.leave_out {
+                return Err(outside);
+            }
+            skipped.add(OUTSIDE, 1);
+            self.events += 1;
+            bits = outside.left;
+        }
+        Ok(())
+    }
+
+    fn vector(
+        &mut self,
+        bits: u16,
+        width: u32,
+        batch: &mut Batch<'_>,
+        skipped: &mut Skipped,
+    ) -> Result<(), Outside> {
+        let Some((x, polarity)) = self.base else {
+            skipped.add(
+                "events before the first column",
+                u64::from(bits.count_ones()),
+            );
+            return Ok(());
+        };
+        self.base = Some((x.saturating_add(width), polarity));
+        self.emit(x, bits, polarity, batch, skipped)
+    }
+
+    /// Tells which of the first [`RUN_WORDS`] words are plain: a row or a column of the sensor, lower bits of
+    /// time, or the upper ones that hold now.
+    ///
+    /// The compiler makes eight of them at a time of it.
+    fn plain(&self, words: &[[u8; 2]]) -> [bool; RUN_WORDS] {
+        let mut plain = [false; RUN_WORDS];
+        let high = self
+            .high
+            .last()
+            .map_or(0, |high| self.high.low(high) as u16);
+        let Sensor { width, height } = self.sensor;
+        for (is_plain, word) in plain.iter_mut().zip(words) {
+            let word = u16::from_le_bytes(*word);
+            let (kind, coordinate) = (word >> 12, word & 0x7ff);
+            *is_plain = (kind == ADDR_X) & (coordinate < width)
+                | (kind == ADDR_Y) & (coordinate < height)
+                | (kind == TIME_LOW)
+                | (kind == TRIGGER)
+                | (kind & 0x7 == CONTINUED)
+                | (kind == OTHER)
+                | (word == TIME_HIGH << 12 | high);
+        }
+        plain
+    }
+
+    /// Takes the words up to the first that is not plain, as [`WordDecoder::plain`] has told, or none where
+    /// events have no time or no row in the sensor yet; returns how many. Never more than the batch has room
+    /// for.
+    ///
+    /// Which kind comes next cannot be foretold, so nothing here branches on it.
+    fn decode_plain(
+        &mut self,
+        words: &[[u8; 2]],
+        plain: &[bool],
+        scratch: &mut [Event; RUN_WORDS],
+        batch: &mut Batch<'_>,
+    ) -> usize {
+        let (Some(high), Some(mut y)) = (self.high.last(), self.y) else {
+            return 0;
+        };
+        if y >= self.sensor.height {
+            return 0;
+        }
+        let high_us = (high << TIME_BITS) + self.t0_us;
+        let mut low = self.low;
+        let taken = plain_words(plain).min(batch.room());
+        let words = words.get(..taken).unwrap_or(words);
+        let mut count = 0;
+        for word in words {
+            let word = u16::from_le_bytes(*word);
+            let (kind, coordinate) = (word >> 12, word & 0x7ff);
+            // Stays only where it is an event.
+            if let Some(event) = scratch.get_mut(count) {
+                *event = Event {
+                    t_us: high_us + u64::from(low),
+                    x: coordinate,
+                    y,
+                    polarity: Polarity::from_bool(word & 0x800 != 0),
+                };
+            }
+            count += usize::from(kind == ADDR_X);
+            low = select_unpredictable(kind == TIME_LOW, word & 0xfff, low);
+            y = select_unpredictable(kind == ADDR_Y, coordinate, y);
+        }
+        (self.low, self.y) = (low, Some(y));
+        self.events += count as u64;
+        batch.extend(scratch.iter().take(count).copied());
+        words.len()
+    }
+
+    /// Takes the next word; the batch must have room for the [`VECTOR_EVENTS`] of a vector.
+    // A call for each word takes half as many instructions again; the reader and bags both have one loop.
+    #[inline(always)]
+    pub fn decode(
+        &mut self,
+        word: u16,
+        batch: &mut Batch<'_>,
+        skipped: &mut Skipped,
+    ) -> Result<(), Outside> {
+        let (value, coordinate) = (word & 0xfff, word & 0x7ff);
+        let polarity = Polarity::from_bool(word & 0x800 != 0);
+        match word >> 12 {
+            ADDR_X => match (self.high.last(), self.y) {
+                // Most words, without the loop over a vector's bits.
+                (Some(high), Some(y)) if self.sensor.contains(coordinate, y) => {
+                    batch.push(Event {
+                        t_us: (high << TIME_BITS | u64::from(self.low)) + self.t0_us,
+                        x: coordinate,
+                        y,
+                        polarity,
+                    });
+                    self.events += 1;
+                }
+                _ => self.emit(u32::from(coordinate), 1, polarity, batch, skipped)?,
+            },
+            ADDR_Y => self.y = Some(coordinate),
+            TIME_LOW => self.low = value,
+            TIME_HIGH => {
+                let previous = self.high.last();
+                if Some(self.high.extend(u64::from(value))) != previous {
+                    self.low = 0;
+                }
+            }
+            VECT_BASE_X => self.base = Some((u32::from(coordinate), polarity)),
+            VECT_12 => self.vector(value, 12, batch, skipped)?,
+            VECT_8 => self.vector(value & 0xff, 8, batch, skipped)?,
+            TRIGGER => skipped.add("triggers", 1),
+            CONTINUED | 0xf => skipped.add("continued words", 1),
+            OTHER => skipped.add("other words", 1),
+            _ => skipped.add("unknown words", 1),
+        }
+        Ok(())
+    }
+}
+
+/// Writer of EVT 3.0 files; runs of three and more events in one row become vectors.
+///
+/// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
+/// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
+/// `% time_base_us` carries what exceeds 24 bits, and other readers lose only that.
+pub struct Evt3Writer {
+    raw: RawWriter,
+    low: u16,
+    y: Option<u16>,
+}
+
+impl Evt3Writer {
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
+        let bits = (TIME_BITS, TIME_BITS);
+        Ok(Self {
+            raw: RawWriter::create(path, sensor, raw_header::Words::Evt3, bits)?,
+            low: 0,
+            y: None,
+        })
+    }
+
+    fn word(&mut self, kind: u16, value: u16) -> Result<()> {
+        self.raw.put(&(kind << 12 | value).to_le_bytes())
+    }
+}
+
+impl EventWriter for Evt3Writer {
+    fn write(&mut self, events: &[Event]) -> Result<()> {
+        let mut rest = events;
+        while let Some(first) = rest.first() {
+            let (count, bits) = run(rest);
+            let (now, later) = rest.split_at(count);
+            // Below 2^12, as the lower bits.
+            let time = |high: u64| (TIME_HIGH << 12 | high as u16).to_le_bytes();
+            let new_high = self.raw.begin(now, time)?;
+            let low = (first.t_us & 0xfff) as u16;
+            // Decoders differ in the low bits that follow a new TIME_HIGH: always say them.
+            if new_high || low != self.low {
+                self.word(TIME_LOW, low)?;
+                self.low = low;
+            }
+            if self.y != Some(first.y) {
+                self.word(ADDR_Y, first.y)?;
+                self.y = Some(first.y);
+            }
+            let polarity = u16::from(first.polarity == Polarity::On) << 11;
+            if count >= 3 {
+                self.word(VECT_BASE_X, polarity | first.x)?;
+                self.word(VECT_12, bits)?;
+            } else {
+                for event in now {
+                    self.word(ADDR_X, polarity | event.x)?;
+                }
+            }
+            rest = later;
+        }
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>) -> Result<()> {
+        self.raw.finish()
+    }
+}
+
+/// Number of events at the start of `events` that one `VECT_12` can hold in their order (the same
+/// time, row and polarity, x rising within 12 columns), and the vector's bits.
+fn run(events: &[Event]) -> (usize, u16) {
+    let Some(first) = events.first() else {
+        return (0, 0);
+    };
+    let (mut count, mut bits, mut last) = (1, 1, 0);
+    for event in events.iter().skip(1) {
+        let alike = (event.t_us, event.y, event.polarity) == (first.t_us, first.y, first.polarity);
+        match event.x.checked_sub(first.x) {
+            Some(column) if alike && column > last && column < VECTOR_EVENTS as u16 => {
+                bits |= 1 << column;
+                last = column;
+                count += 1;
+            }
+            _ => break,
+        }
+    }
+    (count, bits)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::EventReader;
+
+    const SENSOR: Sensor = Sensor {
+        width: 64,
+        height: 48,
+    };
+
+    /// Words of every kind; rows, columns and vectors mostly on the sensor, times of small steps.
+    fn words() -> impl Strategy<Value = Vec<u16>> {
+        let pixel = |side: u16| prop_oneof![9999 => 0..side, 1 => 0..2048_u16];
+        let step = prop_oneof![9 => 0..3_u16, 3 => Just(4095_u16), 1 => 0..4096_u16];
+        let word = prop_oneof![
+            30 => pixel(48).prop_map(|y| (ADDR_Y, y)),
+            30 => (pixel(64), 0..2_u16).prop_map(|(x, on)| (ADDR_X, on << 11 | x)),
+            20 => (0..4096_u16).prop_map(|low| (TIME_LOW, low)),
+            9 => step.prop_map(|step| (TIME_HIGH, step)),
+            4 => (0..40_u16, 0..2_u16).prop_map(|(x, on)| (VECT_BASE_X, on << 11 | x)),
+            2 => (0..4096_u16).prop_map(|bits| (VECT_12, bits)),
+            2 => (0..256_u16).prop_map(|bits| (VECT_8, bits)),
+            9 => (0..16_u16, 0..4096_u16).prop_map(|(kind, value)| (kind | 0x7, value)),
+            3 => (0..2_u16, 0..4096_u16).prop_map(|(kind, value)| (0xa | kind << 2, value)),
+        ];
+        proptest::collection::vec(word, 0..3000).prop_map(|words| {
+            let mut high = 4090;
+            let take = |(kind, value): (u16, u16)| {
+                if kind != TIME_HIGH {
+                    return kind << 12 | value;
+                }
+                high = (high + value) & 0xfff;
+                kind << 12 | high
+            };
+            words.into_iter().map(take).collect()
+        })
+    }
+
+    proptest! {
+        /// Also what is skipped, and where it ends.
+        #[test]
+        fn runs_are_what_their_words_are(words in words()) {
+            let header = b"% evt 3.0\n% geometry 64x48\n% end\n";
+            let bytes = words.iter().flat_map(|word| word.to_le_bytes());
+            let bytes: Vec<u8> = header.iter().copied().chain(bytes).collect();
+            let source = Box::new(std::io::Cursor::new(bytes));
+            let mut reader = Evt3Reader::new(source, "test", None).unwrap();
+            let mut got = Vec::new();
+            let error = loop {
+                match reader.read(&mut got) {
+                    Ok(0) => break None,
+                    Ok(_) => {}
+                    Err(error) => break Some(error.to_string()),
+                }
+            };
+
+            let mut decoder = WordDecoder::new(SENSOR, 0);
+            let (mut want, mut skipped) = (Vec::new(), Skipped::default());
+            let mut batch = Batch::new(&mut want);
+            let outside = words
+                .iter()
+                .position(|word| decoder.decode(*word, &mut batch, &mut skipped).is_err());
+            prop_assert_eq!(got, want);
+            prop_assert_eq!(reader.skipped(), &skipped);
+            let place = outside.map(|word| format!("byte {}:", header.len() + 2 * word));
+            match (error, place) {
+                (None, None) => {}
+                (Some(error), Some(place)) => prop_assert!(error.contains(&place), "{error} {place}"),
+                other => prop_assert!(false, "{other:?}"),
+            }
+        }
+    }
+}

@@ -1,0 +1,10 @@
+//! Prophesee's RAW files: EVT 2, 2.1, 3 and 4.
+
+pub mod evt2;
+pub mod evt21;
+pub mod evt21_word;
+pub mod evt3;
+pub mod evt4;
+pub mod header;
+pub(crate) mod row;
+pub(crate) mod writer;

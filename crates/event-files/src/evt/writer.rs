@@ -1,0 +1,121 @@
+//! What the writers of Prophesee RAW files share: header, upper bits of time, checks.
+
+use std::path::Path;
+
+use event_types::stream::{Context, Result};
+use event_types::{Event, Sensor, bail};
+
+use crate::evt::header::{RawHeader, Words};
+use crate::output::sequential::Output;
+use crate::wrapping::Wrapping;
+
+/// A RAW file being written, in words of which some carry the upper bits of time.
+///
+/// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
+/// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
+/// `% time_base_us` carries what exceeds a word's bits, and other readers lose only that.
+pub struct RawWriter {
+    file: Output,
+    sensor: Sensor,
+    words: Words,
+    high_bits: u32,
+    low_bits: u32,
+    /// `None` until the first event: the header needs its time.
+    high: Option<Wrapping>,
+    events: u64,
+}
+
+impl RawWriter {
+    /// Creates the file; a time is `low_bits` bits of an event's word and `high_bits` above them.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn create(
+        path: &Path,
+        sensor: Sensor,
+        words: Words,
+        (high_bits, low_bits): (u32, u32),
+    ) -> Result<Self> {
+        let file = Output::create(path)?;
+        Ok(Self {
+            file,
+            sensor,
+            words,
+            high_bits,
+            low_bits,
+            high: None,
+            events: 0,
+        })
+    }
+
+    /// Size of the sensor.
+    pub fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    /// Writes what comes next.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn put(&mut self, bytes: &[u8]) -> Result<()> {
+        self.file.put(bytes)
+    }
+
+    /// Takes the next events, which are of one time: checks that they lie on the sensor, and writes
+    /// the upper bits of their time, each value by `word`, where they are others than before; returns
+    /// whether they are.
+    ///
+    /// # Errors
+    /// I/O, an event outside of the sensor, a time that a reader could not follow.
+    pub fn begin<const N: usize>(
+        &mut self,
+        events: &[Event],
+        word: impl Fn(u64) -> [u8; N],
+    ) -> Result<bool> {
+        let Some(Event { t_us, .. }) = events.first().copied() else {
+            return Ok(false);
+        };
+        for (event, index) in events.iter().zip(self.events..) {
+            crate::check_inside(self.file.name(), index, event, self.sensor)?;
+        }
+        let mut high = match self.high.take() {
+            Some(high) => high,
+            None => self.header(t_us)?,
+        };
+        let target = t_us >> self.low_bits;
+        let is_new = high.last() != Some(target);
+        while high.last() != Some(target) {
+            let next = high.step(target).with_context(|| self.refused(t_us))?;
+            self.put(&word(high.low(next)))?;
+        }
+        self.high = Some(high);
+        self.events += events.len() as u64;
+        Ok(is_new)
+    }
+
+    fn header(&mut self, first_us: u64) -> Result<Wrapping> {
+        if first_us > Wrapping::START_MAX {
+            bail!(CannotHold, "{}", self.refused(first_us));
+        }
+        let high = Wrapping::from_zero(self.high_bits, first_us >> self.low_bits);
+        let base_us = high.base() << self.low_bits;
+        let text = RawHeader::text(self.words, self.sensor, base_us);
+        self.put(text.as_bytes())?;
+        Ok(high)
+    }
+
+    fn refused(&self, t_us: u64) -> String {
+        crate::time_refused(self.file.name(), self.events, t_us, self.words.title())
+    }
+
+    /// Writes the header of a file without events, and all that is not on the disk yet.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn finish(mut self) -> Result<()> {
+        if self.events == 0 {
+            self.header(0)?;
+        }
+        self.file.finish()
+    }
+}

@@ -1,0 +1,619 @@
+//! The datasets of an HDF5 file, read some rows at a time.
+
+use std::io::SeekFrom;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use event_types::stream::Result;
+use event_types::{Sensor, bail, ensure, error};
+use hdf5_reader::{
+    Attribute, BlockCacheStorage, Dataset, Datatype, H5Type, Hdf5File, OpenOptions, SliceInfo,
+    SliceInfoElem, Storage, StorageBuffer, error::Error,
+};
+
+use super::chunks::Chunks;
+use super::{ecf, filters};
+use crate::input::following::ANOTHER;
+use crate::input::{ReadSeek, following};
+use crate::numpy::npy_header::{Dtype, Number};
+use crate::reading::TimeUnit;
+use crate::table::event_numbers::{Row, find_names};
+use crate::table::stated_size::StatedSize;
+use crate::table::{stated_size, time_unit};
+
+/// First bytes of a file, or what follows a user block of 512 bytes times a power of two.
+pub const MAGIC: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
+
+/// First bytes of MATLAB's files of `-v7.3`, in front of HDF5's own.
+const MATLAB: &[u8; 10] = b"MATLAB 7.3";
+
+/// Attributes that state the unit of the times.
+const UNIT_KEYS: [&str; 4] = ["units", "unit", "time_unit", "t_unit"];
+
+/// Bytes read at once where the file's own structures are, and how many such pieces are kept.
+const BLOCK_BYTES: usize = 1 << 16;
+const BLOCKS: usize = 64;
+
+/// Largest piece of a dataset read at once; a batch of events is 2 MB.
+const READ_BYTES: usize = 64 << 20;
+
+/// Largest description of a dataset or group.
+const HEADER_BYTES: usize = 1 << 20;
+
+/// How deep below the root datasets are listed, how many, and how many a message names.
+const LIST_DEPTH: usize = 4;
+const LIST_MAX: usize = 500;
+const DESCRIBE_MAX: usize = 24;
+
+/// The source as storage that any thread may read from.
+pub struct Source {
+    source: Mutex<Box<dyn ReadSeek>>,
+    length: u64,
+}
+
+impl Source {
+    /// Reads `len` bytes from `offset` on into `bytes`, in place of what it has.
+    pub fn read(&self, offset: u64, len: usize, bytes: &mut Vec<u8>) -> Result<(), Error> {
+        let end = offset.checked_add(len as u64);
+        // Before memory is asked for: lengths come from the file.
+        if end.is_none_or(|end| end > self.length) {
+            return Err(Error::UnexpectedEof {
+                offset,
+                needed: len as u64,
+                available: self.length.saturating_sub(offset),
+            });
+        }
+        // What is there already is not written twice.
+        bytes.resize(len, 0);
+        // A thread that panicked while it read has left no state but the position, which is set here.
+        let mut source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
+        source.seek(SeekFrom::Start(offset))?;
+        source.read_exact(bytes)?;
+        Ok(())
+    }
+}
+
+impl Storage for Source {
+    fn len(&self) -> u64 {
+        self.length
+    }
+
+    fn read_range(&self, offset: u64, len: usize) -> Result<StorageBuffer, Error> {
+        let mut bytes = Vec::new();
+        self.read(offset, len, &mut bytes)?;
+        Ok(StorageBuffer::from_vec(bytes))
+    }
+}
+
+/// Storage that keeps the pieces where the file's own structures are, and not those of the data, which are read
+/// once.
+struct Pieces {
+    source: Arc<Source>,
+    kept: BlockCacheStorage,
+}
+
+impl Storage for Pieces {
+    fn len(&self) -> u64 {
+        self.source.length
+    }
+
+    fn read_range(&self, offset: u64, len: usize) -> Result<StorageBuffer, Error> {
+        if len > BLOCK_BYTES {
+            self.source.read_range(offset, len)
+        } else {
+            self.kept.read_range(offset, len)
+        }
+    }
+}
+
+/// An HDF5 file.
+pub struct Hdf5 {
+    name: String,
+    file: Hdf5File,
+    source: Arc<Source>,
+    length: u64,
+    is_matlab: bool,
+}
+
+impl Hdf5 {
+    /// Opens a file, which messages call `name`.
+    pub fn open(mut source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
+        let damaged = |error: Error| {
+            error!(
+                Damaged,
+                "{name}: byte 0: damaged HDF5 file: {}",
+                plain(&error)
+            )
+        };
+        let length = source
+            .seek(SeekFrom::End(0))
+            .map_err(|error| damaged(error.into()))?;
+        let mut start = [0; MATLAB.len()];
+        let begins = source.rewind().and_then(|()| source.read_exact(&mut start));
+        let is_matlab = begins.is_ok() && &start == MATLAB;
+        let source = Mutex::new(source);
+        let source = Arc::new(Source { source, length });
+        let kept = BlockCacheStorage::new(source.clone(), BLOCK_BYTES, BLOCKS);
+        let storage = Pieces {
+            source: source.clone(),
+            kept,
+        };
+        let options = OpenOptions::default()
+            .with_filter_registry(filters::registry())
+            .with_max_chunk_bytes(filters::CHUNK_BYTES)
+            .with_max_read_bytes(READ_BYTES)
+            .with_max_object_header_bytes(HEADER_BYTES);
+        let file =
+            Hdf5File::from_storage_with_options(Arc::new(storage), options).map_err(damaged)?;
+        let superblock = file.superblock();
+        let mut bytes = source.source.lock().unwrap_or_else(PoisonError::into_inner);
+        for base in [0, superblock.base_address] {
+            let end = superblock.eof_address.saturating_add(base);
+            // Of a file that its writer has not closed, the end is no place.
+            if end >= length {
+                continue;
+            }
+            let begins = |mark: &[u8]| following::is_at(bytes.as_mut(), end, mark);
+            let marks: [&[u8]; 2] = [MAGIC, MATLAB];
+            let joined: Result<Vec<bool>, _> = marks.into_iter().map(begins).collect();
+            let joined = joined.map_err(|error| damaged(error.into()))?;
+            ensure!(
+                !joined.contains(&true),
+                Damaged,
+                "{name}: byte {end}: {ANOTHER}"
+            );
+        }
+        drop(bytes);
+        let name = name.to_owned();
+        Ok(Self {
+            name,
+            file,
+            source,
+            length,
+            is_matlab,
+        })
+    }
+
+    /// Name for messages.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The dataset at `path`, if there is one.
+    ///
+    /// # Errors
+    /// What is there, or on the way to it, is damaged.
+    pub fn dataset(&self, path: &str) -> Result<Option<Dataset>> {
+        match self.file.dataset(path) {
+            Ok(dataset) => Ok(Some(dataset)),
+            Err(error) if is_absence(&error) => Ok(None),
+            Err(error) => {
+                let what = plain(&error);
+                bail!(Damaged, "{}: byte 0: damaged HDF5 file: {what}", self.name)
+            }
+        }
+    }
+
+    /// The names of what the group at `path` holds: groups, datasets.
+    pub fn members(&self, path: &str) -> (Vec<String>, Vec<String>) {
+        let group = if path.is_empty() {
+            self.file.root_group()
+        } else {
+            self.file.group(path)
+        };
+        let names = group.and_then(|group| group.member_names());
+        names.unwrap_or_default()
+    }
+
+    /// The paths of the datasets, the first [`LIST_MAX`] of them.
+    pub fn datasets(&self) -> Vec<String> {
+        let mut found = Vec::new();
+        self.list("", 0, &mut found);
+        found
+    }
+
+    fn list(&self, path: &str, depth: usize, found: &mut Vec<String>) {
+        let (groups, datasets) = self.members(path);
+        let room = LIST_MAX.saturating_sub(found.len());
+        found.extend(datasets.iter().take(room).map(|name| join(path, name)));
+        // Groups may hold one another.
+        if depth < LIST_DEPTH {
+            for name in groups.iter().take(LIST_MAX) {
+                self.list(&join(path, name), depth + 1, found);
+            }
+        }
+    }
+
+    /// What a message says where no layout fits: the datasets and their shapes.
+    pub fn describe(&self) -> String {
+        let datasets = self.datasets();
+        let named = |path: &String| {
+            let dataset = self.dataset(path).ok().flatten();
+            let shape = dataset.map(|dataset| shape(dataset.shape()));
+            format!("{path} {}", shape.unwrap_or_default())
+        };
+        let more = datasets.len().saturating_sub(DESCRIBE_MAX);
+        let names: Vec<String> = datasets.iter().take(DESCRIBE_MAX).map(named).collect();
+        match (names.is_empty(), more) {
+            (true, _) => "no datasets".to_owned(),
+            (_, 0) => names.join(", "),
+            _ => format!("{} and {more} more", names.join(", ")),
+        }
+    }
+
+    /// Size that attributes or small datasets state beside the events, whose dataset or group is at `place`, or
+    /// in the root; and how many datasets state it.
+    pub fn stated_size(&self, place: &str) -> (Option<Sensor>, usize) {
+        let mut size = StatedSize::default();
+        let mut used = 0;
+        let above = place.rsplit_once('/').map_or("", |(above, _)| above);
+        for group in [place, above, ""] {
+            for attribute in self.attributes(group) {
+                let name = attribute.name.as_str();
+                if !stated_size::is_known(name) {
+                    continue;
+                }
+                if let Ok(text) = attribute.read_string() {
+                    size.text(name, &text);
+                }
+                let numbers = attribute.read_1d::<Cell>().or_else(|_| {
+                    let scalar = attribute.read_scalar::<Cell>();
+                    scalar.map(|cell| vec![cell])
+                });
+                let numbers = numbers
+                    .unwrap_or_default()
+                    .into_iter()
+                    .filter_map(|Cell(number)| number);
+                size.numbers(name, &numbers.map(Number::float).collect::<Vec<_>>());
+            }
+            let (_, names) = self.members(group);
+            for name in names.iter().filter(|name| stated_size::is_known(name)) {
+                if let Some(numbers) = self.few(&join(group, name)) {
+                    size.numbers(name, &numbers);
+                    used += 1;
+                }
+            }
+            if group.is_empty() {
+                break;
+            }
+        }
+        (size.sensor(), used)
+    }
+
+    /// The numbers of a dataset of three of them at most.
+    fn few(&self, path: &str) -> Option<Vec<f64>> {
+        let dataset = self.dataset(path).ok()??;
+        let count = dataset
+            .shape()
+            .iter()
+            .try_fold(1_u64, |all, side| all.checked_mul(*side))?;
+        let dtype = number_type(dataset.dtype()).filter(|_| count <= 3)?;
+        let bytes = dataset.read_raw_bytes().ok()?;
+        let mut numbers = Vec::new();
+        dtype.numbers(&bytes, &mut numbers);
+        Some(numbers.into_iter().flatten().map(Number::float).collect())
+    }
+
+    /// Attributes of the dataset or group at `path`.
+    fn attributes(&self, path: &str) -> Vec<Attribute> {
+        if path.is_empty() {
+            let root = self.file.root_group().and_then(|root| root.attributes());
+            return root.unwrap_or_default();
+        }
+        match self.file.dataset(path) {
+            Ok(dataset) => dataset.attributes(),
+            Err(_) => {
+                let group = self.file.group(path).and_then(|group| group.attributes());
+                group.unwrap_or_default()
+            }
+        }
+    }
+
+    /// The unit that an attribute `units` of one of these states.
+    pub fn stated_unit(&self, paths: &[&str]) -> Option<TimeUnit> {
+        let all = paths.iter().flat_map(|path| self.attributes(path));
+        let mut units = all.filter(|attribute| UNIT_KEYS.contains(&attribute.name.as_str()));
+        units.find_map(|attribute| time_unit::named(&attribute.read_string().ok()?))
+    }
+
+    /// Whether MATLAB wrote the file.
+    pub fn is_matlab(&self) -> bool {
+        self.is_matlab
+    }
+
+    /// Bytes of the file.
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// The chunks of a dataset of one dimension that this filter alone packs, see [`Chunks::find`].
+    pub fn chunks(&self, dataset: &Dataset, filter: u16) -> Option<Chunks> {
+        Chunks::find(&self.file, &self.source, dataset, filter)
+    }
+
+    /// Error about a dataset, at the byte where its description begins.
+    pub fn error(
+        &self,
+        dataset: &Dataset,
+        what: impl std::fmt::Display,
+    ) -> event_types::stream::Error {
+        error!(
+            Damaged,
+            "{}: byte {}: {}: {what}",
+            self.name,
+            dataset.address(),
+            dataset.name()
+        )
+    }
+}
+
+/// The path of `name` in the group at `path`.
+pub fn join(path: &str, name: &str) -> String {
+    if path.is_empty() {
+        name.to_owned()
+    } else {
+        format!("{path}/{name}")
+    }
+}
+
+/// Whether an error says that there is no such dataset.
+fn is_absence(error: &Error) -> bool {
+    match error {
+        Error::DatasetNotFound(_) | Error::GroupNotFound(_) => true,
+        Error::Context { source, .. } => is_absence(source),
+        _ => false,
+    }
+}
+
+fn shape(sides: &[u64]) -> String {
+    let sides: Vec<String> = sides.iter().map(u64::to_string).collect();
+    format!("({})", sides.join(" x "))
+}
+
+/// The error in one line, and what to do where it is a filter.
+pub fn plain(error: &Error) -> String {
+    let text = error.to_string().replace('\n', " ");
+    match error {
+        Error::UnsupportedFilter(what) => text + &filters::advice(what),
+        _ => text,
+    }
+}
+
+/// The type of a dataset's numbers, as that of an array; `None` if they are none.
+pub fn number_type(datatype: &Datatype) -> Option<Dtype> {
+    let big_endian = |order| order == hdf5_reader::ByteOrder::BigEndian;
+    let (kind, order, bytes) = match datatype {
+        Datatype::FixedPoint {
+            size,
+            signed,
+            byte_order,
+        } => (if *signed { b'i' } else { b'u' }, *byte_order, *size),
+        Datatype::FloatingPoint { size, byte_order } => (b'f', *byte_order, *size),
+        Datatype::Bitfield { size, byte_order } => (b'u', *byte_order, *size),
+        // Python's bool.
+        Datatype::Enum { base, .. } => return number_type(base),
+        _ => return None,
+    };
+    Dtype::new(kind, big_endian(order), usize::from(bytes))
+}
+
+/// Offset and type of a field of a compound.
+pub type Field = (usize, Dtype);
+
+/// The places and types of t, x, y and p in a compound, of their usual names or of those that were given, and
+/// the unit that the name of t states; `None` where one of them is missing.
+pub fn fields(
+    datatype: &Datatype,
+    given: Option<&[String; 4]>,
+) -> Option<([Field; 4], Option<TimeUnit>)> {
+    let Datatype::Compound { fields, .. } = datatype else {
+        return None;
+    };
+    let names = fields.iter().map(|field| field.name.as_str());
+    let found = find_names(names, given)?;
+    let [t, x, y, p] = found.places.map(|place| {
+        let field = fields.get(place)?;
+        let offset = usize::try_from(field.byte_offset).ok()?;
+        Some((offset, number_type(&field.datatype)?))
+    });
+    Some(([t?, x?, y?, p?], found.unit))
+}
+
+/// A number of a dataset, of whatever type it is there.
+#[derive(Clone)]
+struct Cell(Option<Number>);
+
+impl H5Type for Cell {
+    fn hdf5_type() -> Datatype {
+        Datatype::FloatingPoint {
+            size: 8,
+            byte_order: hdf5_reader::ByteOrder::LittleEndian,
+        }
+    }
+
+    fn from_bytes(bytes: &[u8], datatype: &Datatype) -> Result<Self, Error> {
+        let dtype = number_type(datatype).ok_or_else(no_number)?;
+        Ok(Self(dtype.number(bytes)))
+    }
+
+    fn element_size(datatype: &Datatype) -> usize {
+        hdf5_reader::dtype_element_size(datatype).unwrap_or(0)
+    }
+
+    fn decode_vec(
+        raw: &[u8],
+        datatype: &Datatype,
+        count: usize,
+    ) -> Option<Result<Vec<Self>, Error>> {
+        let Some(dtype) = number_type(datatype) else {
+            return Some(Err(no_number()));
+        };
+        let elements = raw.chunks_exact(dtype.bytes).take(count);
+        Some(Ok(elements
+            .map(|bytes| Self(dtype.number(bytes)))
+            .collect()))
+    }
+}
+
+/// A record of a dataset: t, x, y and p of a compound.
+#[derive(Clone)]
+struct Record(Row);
+
+impl Record {
+    fn of(bytes: &[u8], fields: &[(usize, Dtype); 4]) -> Self {
+        Self(fields.map(|(offset, dtype)| dtype.number(bytes.get(offset..)?)))
+    }
+}
+
+impl H5Type for Record {
+    fn hdf5_type() -> Datatype {
+        Datatype::Compound {
+            size: 0,
+            fields: Vec::new(),
+        }
+    }
+
+    fn from_bytes(bytes: &[u8], datatype: &Datatype) -> Result<Self, Error> {
+        let (fields, _) = fields(datatype, None).ok_or_else(no_number)?;
+        Ok(Self::of(bytes, &fields))
+    }
+
+    fn element_size(datatype: &Datatype) -> usize {
+        hdf5_reader::dtype_element_size(datatype).unwrap_or(0)
+    }
+
+    fn decode_vec(
+        raw: &[u8],
+        datatype: &Datatype,
+        count: usize,
+    ) -> Option<Result<Vec<Self>, Error>> {
+        let (Some((fields, _)), size @ 1..) =
+            (fields(datatype, None), Self::element_size(datatype))
+        else {
+            return Some(Err(no_number()));
+        };
+        let records = raw.chunks_exact(size).take(count);
+        let record = |bytes: &[u8]| {
+            if bytes == ecf::NO_EVENT {
+                return Err(Error::InvalidData(
+                    "the chunk ends before this event".to_owned(),
+                ));
+            }
+            Ok(Self::of(bytes, &fields))
+        };
+        Some(records.map(record).collect())
+    }
+}
+
+/// A record as its bytes, whose fields are named by the caller.
+#[derive(Clone)]
+struct Bytes(Vec<u8>);
+
+impl H5Type for Bytes {
+    fn hdf5_type() -> Datatype {
+        Record::hdf5_type()
+    }
+
+    fn from_bytes(bytes: &[u8], _datatype: &Datatype) -> Result<Self, Error> {
+        Ok(Self(bytes.to_vec()))
+    }
+
+    fn element_size(datatype: &Datatype) -> usize {
+        Record::element_size(datatype)
+    }
+}
+
+fn no_number() -> Error {
+    Error::InvalidData("the type is not one of numbers".to_owned())
+}
+
+fn rows(start: u64, count: u64) -> SliceInfoElem {
+    SliceInfoElem::Slice {
+        start,
+        end: start.saturating_add(count),
+        step: 1,
+    }
+}
+
+/// `count` numbers of a dataset of one dimension, whose other dimensions may be of length 1.
+pub fn read_column(
+    dataset: &Dataset,
+    start: u64,
+    count: u64,
+) -> Result<Vec<Option<Number>>, Error> {
+    let long = dataset
+        .shape()
+        .iter()
+        .position(|side| *side != 1)
+        .unwrap_or(0);
+    let sides = 0..dataset.shape().len().max(1);
+    let selections = sides.map(|side| {
+        if side == long {
+            rows(start, count)
+        } else {
+            rows(0, 1)
+        }
+    });
+    let selections = selections.collect();
+    let cells = dataset.read_slice::<Cell>(&SliceInfo { selections })?;
+    Ok(cells.into_iter().map(|Cell(number)| number).collect())
+}
+
+/// `count` rows of a dataset of shape (N, columns) or, turned, (columns, N): the columns at `order`.
+pub fn read_table(
+    dataset: &Dataset,
+    start: u64,
+    count: u64,
+    (columns, is_turned): (usize, bool),
+    order: [usize; 4],
+) -> Result<Vec<Row>, Error> {
+    let (long, short) = (rows(start, count), rows(0, columns as u64));
+    let selections = if is_turned {
+        vec![short, long]
+    } else {
+        vec![long, short]
+    };
+    let cells = dataset.read_slice::<Cell>(&SliceInfo { selections })?;
+    let numbers: Vec<Option<Number>> = cells.into_iter().map(|Cell(number)| number).collect();
+    let found = numbers.len() / columns.max(1);
+    let (step, far) = if is_turned { (1, found) } else { (columns, 1) };
+    let row = |index: usize| {
+        order.map(|column| numbers.get(index * step + column * far).copied().flatten())
+    };
+    Ok((0..found).map(row).collect())
+}
+
+/// t, x, y, p of `count` records of a dataset of compounds, whose fields may have been named by the caller.
+pub fn read_records(
+    dataset: &Dataset,
+    start: u64,
+    count: u64,
+    given: Option<&[String; 4]>,
+) -> Result<Vec<Row>, Error> {
+    if given.is_none() {
+        let records = read_rows::<Record>(dataset, start, count)?;
+        return Ok(records.into_iter().map(|Record(row)| row).collect());
+    }
+    let (fields, _) = fields(dataset.dtype(), given).ok_or_else(no_number)?;
+    let records = read_rows::<Bytes>(dataset, start, count)?;
+    Ok(records
+        .into_iter()
+        .map(|Bytes(bytes)| Record::of(&bytes, &fields).0)
+        .collect())
+}
+
+/// `count` elements of a dataset of one dimension.
+pub fn read_rows<T: H5Type>(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<T>, Error> {
+    let selections = vec![rows(start, count)];
+    let side = chunk_rows(dataset).unwrap_or(0);
+    let chunk = usize::try_from(side)
+        .unwrap_or(usize::MAX)
+        .saturating_mul(T::element_size(dataset.dtype()))
+        .min(filters::CHUNK_BYTES);
+    let array = ecf::in_chunks_of(chunk, || dataset.read_slice::<T>(&SliceInfo { selections }))?;
+    Ok(array.into_raw_vec_and_offset().0)
+}
+
+/// Rows of a chunk, of a dataset that has chunks.
+pub fn chunk_rows(dataset: &Dataset) -> Option<u64> {
+    dataset.chunks()?.first().copied().map(u64::from)
+}

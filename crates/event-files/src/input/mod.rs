@@ -1,0 +1,519 @@
+//! Byte source of every reader: a file or memory, its name and its position.
+
+pub(crate) mod adjusted;
+pub(crate) mod buffer;
+pub(crate) mod following;
+pub mod growing;
+pub mod piped;
+pub(crate) mod section;
+
+use std::fs::File;
+use std::io::{BufRead, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use event_types::stream::{Context, Result};
+use event_types::{Event, Sensor, ensure, error};
+
+use crate::input::buffer::{BUFFER_BYTES, InputBuffer};
+use crate::{Assumption, BATCH_EVENTS, BadEvents, EventReader, Skipped};
+
+/// What a reader can read from: a file, or bytes in memory (`std::io::Cursor`).
+pub trait ReadSeek: Read + Seek + Send {}
+
+impl<T: Read + Seek + Send> ReadSeek for T {}
+
+/// What events outside of the sensor are counted as where they are left out.
+pub const OUTSIDE: &str = "events outside of the sensor";
+
+/// A source with the name and the position that error messages carry.
+pub struct Input {
+    buffer: InputBuffer,
+    name: String,
+    length: u64,
+    bad_events: BadEvents,
+}
+
+impl Input {
+    /// Opens a file.
+    ///
+    /// # Errors
+    /// The file cannot be opened.
+    pub fn open(path: &Path) -> Result<Self> {
+        let name = path.display().to_string();
+        let file = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
+        let directory = file.metadata().is_ok_and(|metadata| metadata.is_dir());
+        ensure!(
+            !directory,
+            Damaged,
+            "{name}: is a directory, not a recording"
+        );
+        Self::new(Box::new(file), &name)
+    }
+
+    /// Reads from `source`, which error messages call `name`.
+    ///
+    /// # Errors
+    /// The source cannot be sought.
+    pub fn new(mut source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
+        let length = source
+            .seek(SeekFrom::End(0))
+            .with_context(|| format!("{name}: cannot be sought; pipes are not supported"))?;
+        Ok(Self {
+            buffer: InputBuffer::new(source),
+            name: name.to_owned(),
+            length,
+            bad_events: BadEvents::Refuse,
+        })
+    }
+
+    /// Gives the source back, at any position.
+    #[must_use]
+    pub fn into_source(self) -> Box<dyn ReadSeek> {
+        self.buffer.into_source()
+    }
+
+    /// Name for messages.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Position of the next byte.
+    #[must_use]
+    pub fn offset(&self) -> u64 {
+        self.buffer.offset()
+    }
+
+    /// Bytes from the start to the end.
+    #[must_use]
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// Whether no byte follows. Of a file that is still being written, one is waited for.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn at_end(&mut self) -> Result<bool> {
+        let offset = self.offset();
+        match self.buffer.fill_buf() {
+            Ok(bytes) => Ok(bytes.is_empty()),
+            Err(error) => Err(self.unreadable(offset, error)),
+        }
+    }
+
+    /// Goes to the end and returns its position; unlike [`Input::length`], that of a file that has grown.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn end(&mut self) -> Result<u64> {
+        let end = self.buffer.end();
+        let end = end.with_context(|| format!("{}: its end cannot be sought", self.name))?;
+        self.buffer.seek(end);
+        Ok(end)
+    }
+
+    /// Continues at byte `offset`.
+    ///
+    /// # Errors
+    /// An offset above 2^63, which no file has.
+    pub fn seek(&mut self, offset: u64) -> Result<()> {
+        ensure!(
+            i64::try_from(offset).is_ok(),
+            Damaged,
+            "{}: byte {offset}: cannot be sought",
+            self.name
+        );
+        self.buffer.seek(offset);
+        Ok(())
+    }
+
+    /// Whether the source has as many bytes as `end`; waits for them where a recording is still being written.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn reaches(&mut self, end: u64) -> Result<bool> {
+        if end <= self.length {
+            return Ok(true);
+        }
+        let here = self.offset();
+        let is_there = self.fill_at(end - 1, &mut [0])? == 1;
+        if is_there {
+            let length = self.buffer.end();
+            self.length = length
+                .map_err(|error| self.unreadable(end, error))?
+                .max(end);
+        }
+        self.seek(here)?;
+        Ok(is_there)
+    }
+
+    /// Fills `bytes`, or as much of it as the source still has; returns how much.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn fill(&mut self, bytes: &mut [u8]) -> Result<usize> {
+        // As much as the buffer holds is read past it, and copied only once.
+        let past = bytes.len() >= BUFFER_BYTES;
+        self.read_all(bytes, past)
+    }
+
+    /// Fills `bytes` from byte `offset` on, or as much of it as the source has there; returns how much. Reads
+    /// no more than that, as is good for a few bytes here and there, and goes on behind them.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn fill_at(&mut self, offset: u64, bytes: &mut [u8]) -> Result<usize> {
+        self.seek(offset)?;
+        self.read_all(bytes, true)
+    }
+
+    fn read_all(&mut self, bytes: &mut [u8], past: bool) -> Result<usize> {
+        let mut filled = 0;
+        while let Some(rest) = bytes.get_mut(filled..).filter(|rest| !rest.is_empty()) {
+            let offset = self.offset();
+            match self.buffer.read_some(rest, past) {
+                Ok(0) => {
+                    self.check_length(offset)?;
+                    break;
+                }
+                Ok(read) => filled += read,
+                Err(error) => return Err(self.unreadable(offset, error)),
+            }
+        }
+        Ok(filled)
+    }
+
+    /// Appends the next line with its line feed, at most `cap` bytes, to `line`; returns how many
+    /// bytes (0 at the end).
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn line(&mut self, line: &mut Vec<u8>, cap: usize) -> Result<usize> {
+        let offset = self.offset();
+        let read = self
+            .buffer
+            .by_ref()
+            .take(cap as u64)
+            .read_until(b'\n', line);
+        let read = read.map_err(|error| self.unreadable(offset, error))?;
+        if read == 0 && cap > 0 {
+            self.check_length(offset)?;
+        }
+        Ok(read)
+    }
+
+    /// Refuses an end before the one that was there when the source was opened.
+    fn check_length(&self, offset: u64) -> Result<()> {
+        ensure!(
+            offset >= self.length,
+            Damaged,
+            "{}: byte {offset}: the file ends here and had {} bytes: it was cut while it was read",
+            self.name,
+            self.length
+        );
+        Ok(())
+    }
+
+    /// Error at the present position: name, offset and `what`.
+    pub fn error(&self, what: impl std::fmt::Display) -> event_types::stream::Error {
+        self.error_at(self.offset(), what)
+    }
+
+    /// Error at byte `offset`.
+    pub fn error_at(
+        &self,
+        offset: u64,
+        what: impl std::fmt::Display,
+    ) -> event_types::stream::Error {
+        error!(Damaged, "{}: byte {offset}: {what}", self.name)
+    }
+
+    fn unreadable(&self, offset: u64, error: std::io::Error) -> event_types::stream::Error {
+        let what = format!("{}: byte {offset}: cannot be read", self.name);
+        event_types::stream::Error::other(error).context(what)
+    }
+}
+
+/// The decoder of one format; [`Reader`] turns it into an [`EventReader`].
+pub trait Decode: Send {
+    /// As [`EventReader::format`].
+    fn format(&self) -> &'static str;
+
+    /// As [`EventReader::sensor`].
+    fn sensor(&self) -> Sensor;
+
+    /// As [`EventReader::camera`].
+    fn camera(&self) -> Option<&str> {
+        None
+    }
+
+    /// As [`EventReader::assumptions`].
+    fn assumptions(&self) -> &[Assumption] {
+        &[]
+    }
+
+    /// As [`EventReader::skipped`].
+    fn skipped(&self) -> &Skipped;
+
+    /// As [`EventReader::leave_out_bad_events`].
+    fn leave_out_bad_events(&mut self) -> bool {
+        false
+    }
+
+    /// As [`EventReader::seek`].
+    ///
+    /// # Errors
+    /// As [`EventReader::seek`].
+    fn seek(&mut self, t_us: u64) -> Result<bool> {
+        let _ = t_us;
+        Ok(false)
+    }
+
+    /// Appends events until the batch has no more room.
+    ///
+    /// Appending none means the end. Events appended before an error are valid.
+    ///
+    /// # Errors
+    /// As [`EventReader::read`].
+    fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()>;
+}
+
+/// The events of one call of [`EventReader::read`].
+pub struct Batch<'a> {
+    events: &'a mut Vec<Event>,
+    start: usize,
+}
+
+impl<'a> Batch<'a> {
+    /// A batch that is appended to `events`.
+    #[must_use]
+    pub const fn new(events: &'a mut Vec<Event>) -> Self {
+        let start = events.len();
+        Self { events, start }
+    }
+
+    /// How many more events fit.
+    #[must_use]
+    pub fn room(&self) -> usize {
+        (self.start + BATCH_EVENTS).saturating_sub(self.events.len())
+    }
+
+    /// Whether no event has been appended yet.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Events appended so far.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.events.len() - self.start
+    }
+
+    /// Appends events: no more than there is room for.
+    #[inline]
+    pub fn extend(&mut self, events: impl ExactSizeIterator<Item = Event>) {
+        self.events.extend(events);
+    }
+
+    /// Appends an event.
+    pub fn push(&mut self, event: Event) {
+        self.events.push(event);
+    }
+}
+
+/// An [`EventReader`] around a decoder: holds an error back until the events before it are out.
+pub struct Reader<D> {
+    pub(super) decoder: D,
+    held: Option<event_types::stream::Error>,
+    ended: bool,
+}
+
+impl<D: Decode> Reader<D> {
+    pub(super) fn around(decoder: D) -> Self {
+        Self {
+            decoder,
+            held: None,
+            ended: false,
+        }
+    }
+}
+
+impl<D: Decode> EventReader for Reader<D> {
+    fn format(&self) -> &'static str {
+        self.decoder.format()
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.decoder.sensor()
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.decoder.camera()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        self.decoder.assumptions()
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        if let Some(error) = self.held.take() {
+            return Err(error);
+        }
+        if self.ended {
+            return Ok(0);
+        }
+        let mut batch = Batch::new(events);
+        let result = self.decoder.decode(&mut batch);
+        let read = batch.len();
+        self.ended = result.is_err() || read == 0;
+        match result {
+            Err(error) if read == 0 => Err(error),
+            Err(error) => {
+                self.held = Some(error);
+                Ok(read)
+            }
+            Ok(()) => Ok(read),
+        }
+    }
+
+    fn seek(&mut self, t_us: u64) -> Result<bool> {
+        let sought = self.held.is_none() && self.decoder.seek(t_us)?;
+        // The end may have been reached before.
+        self.ended &= !sought;
+        Ok(sought)
+    }
+
+    fn skipped(&self) -> &Skipped {
+        self.decoder.skipped()
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.decoder.leave_out_bad_events()
+    }
+}
+
+/// Fixed-size words of an [`Input`], read in blocks.
+pub struct Words<const N: usize> {
+    bytes: Vec<u8>,
+    next: usize,
+    filled: usize,
+}
+
+impl<const N: usize> Default for Words<N> {
+    /// No block read yet.
+    fn default() -> Self {
+        let whole_words = BUFFER_BYTES - BUFFER_BYTES % N;
+        Self {
+            bytes: vec![0; whole_words],
+            next: 0,
+            filled: 0,
+        }
+    }
+}
+
+impl<const N: usize> Words<N> {
+    /// The next word, or `None` at the end.
+    ///
+    /// # Errors
+    /// I/O, or bytes after the last whole word. A single line feed is no error: old recorders
+    /// closed files with one.
+    #[inline]
+    pub fn next(&mut self, input: &mut Input) -> Result<Option<[u8; N]>> {
+        loop {
+            let rest = self.bytes.get(self.next..self.filled);
+            if let Some(word) = rest.and_then(<[u8]>::first_chunk) {
+                self.next += N;
+                return Ok(Some(*word));
+            }
+            if !self.refill(input)? {
+                return Ok(None);
+            }
+        }
+    }
+
+    /// The offset of the next words, and `most` of them or fewer; none at the end.
+    ///
+    /// # Errors
+    /// As [`Words::next`].
+    pub fn run(&mut self, input: &mut Input, most: usize) -> Result<(u64, &[[u8; N]])> {
+        if self.filled - self.next < N && !self.refill(input)? {
+            return Ok((input.offset(), &[]));
+        }
+        let offset = input.offset() - (self.filled - self.next) as u64;
+        let rest = self.bytes.get(self.next..self.filled);
+        let (words, _) = rest.unwrap_or_default().as_chunks();
+        let words = words.get(..most).unwrap_or(words);
+        self.next += words.len() * N;
+        Ok((offset, words))
+    }
+
+    /// Goes back by `words`, of those that [`Words::run`] gave last.
+    pub const fn back(&mut self, words: usize) {
+        self.next = self.next.saturating_sub(words * N);
+    }
+
+    /// Reads the next block when there is no whole word left; false at the end.
+    #[cold]
+    fn refill(&mut self, input: &mut Input) -> Result<bool> {
+        // A block is only shorter than whole words at the end of the file.
+        let mut rest = self.filled - self.next;
+        let mut first = self.bytes.get(self.next).copied();
+        if rest == 0 {
+            (self.next, self.filled) = (0, input.fill(&mut self.bytes)?);
+            if self.filled >= N {
+                return Ok(true);
+            }
+            rest = self.filled;
+            first = self.bytes.first().copied();
+        }
+        (self.next, self.filled) = (0, 0);
+        if rest == 0 || (rest == 1 && first == Some(b'\n')) {
+            return Ok(false);
+        }
+        Err(input.error_at(
+            input.offset() - rest as u64,
+            format!("the file ends within a word of {N} bytes ({rest} are there): truncated"),
+        ))
+    }
+
+    /// Offset of the word that [`Words::next`] returned last.
+    #[must_use]
+    pub fn offset(&self, input: &Input) -> u64 {
+        input.offset() - (self.filled - self.next) as u64 - N as u64
+    }
+}
+
+impl Input {
+    /// From here on, [`Input::outside`] is no error.
+    pub fn leave_out_bad_events(&mut self) {
+        self.bad_events = BadEvents::LeaveOut;
+    }
+
+    /// Refuses event number `index` at byte `offset`, which lies outside of the sensor at (x, y), or counts it.
+    ///
+    /// # Errors
+    /// Always, but after [`Input::leave_out_bad_events`].
+    pub fn outside(
+        &self,
+        offset: u64,
+        index: u64,
+        (x, y): (i64, i64),
+        sensor: Sensor,
+        skipped: &mut Skipped,
+    ) -> Result<()> {
+        if self.bad_events == BadEvents::LeaveOut {
+            skipped.add(OUTSIDE, 1);
+            return Ok(());
+        }
+        let Sensor { width, height } = sensor;
+        Err(self.error_at(
+            offset,
+            format!(
+                "event {index} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): the recording \
+                 is damaged, or its size is another: see --width and --height, and --leave-out-bad-events"
+            ),
+        ))
+    }
+}

@@ -1,0 +1,11 @@
+//! Arrays of NumPy: `.npy` and `.npz`.
+
+#[cfg(feature = "npz")]
+pub(crate) mod layout;
+pub(crate) mod npy_header;
+#[cfg(feature = "npz")]
+pub(crate) mod npy_writer;
+#[cfg(feature = "npz")]
+pub mod npz;
+#[cfg(feature = "npz")]
+pub(crate) mod npz_writer;

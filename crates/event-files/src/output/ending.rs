@@ -1,0 +1,84 @@
+//! Endings of names, and the kinds of files that they stand for.
+
+use std::path::Path;
+
+use event_types::ensure;
+use event_types::stream::Result;
+
+use crate::FORMATS;
+use crate::format::{FRAMES, FRAMES_ENDING};
+
+/// What a file that a command writes holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// Frames of the codec.
+    Frames,
+    /// Events, in a format that the ending names.
+    Recording,
+    /// Events, in a format whatever the ending.
+    AnyRecording,
+    /// An array.
+    Volume,
+    /// Pictures.
+    Picture,
+    /// A chart.
+    Chart,
+    /// Thresholds.
+    Settings,
+    /// Bytes of a device.
+    Stream,
+}
+
+const KINDS: [Kind; 7] = [
+    Kind::Frames,
+    Kind::Recording,
+    Kind::Volume,
+    Kind::Picture,
+    Kind::Chart,
+    Kind::Settings,
+    Kind::Stream,
+];
+
+impl Kind {
+    /// Refuses a name whose ending is another kind's.
+    ///
+    /// # Errors
+    /// The message names the file and its ending.
+    pub fn check(self, path: &Path) -> Result<()> {
+        if self == Self::Recording {
+            return crate::writable(path).map(|_| ());
+        }
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = name.to_ascii_lowercase();
+        let is_other = !self.has(&name) && KINDS.iter().any(|kind| kind.has(&name));
+        ensure!(
+            !is_other,
+            Refused,
+            "{}: the ending is that of another kind of file: use {}",
+            path.display(),
+            self.endings().first().copied().unwrap_or_default()
+        );
+        Ok(())
+    }
+
+    fn has(self, name: &str) -> bool {
+        let ends = |ending: &&str| name.ends_with(*ending);
+        if !matches!(self, Self::Recording | Self::AnyRecording) {
+            return self.endings().iter().any(ends);
+        }
+        let formats = FORMATS.iter().filter(|format| format.name != FRAMES);
+        formats.flat_map(|format| format.endings).any(ends)
+    }
+
+    const fn endings(self) -> &'static [&'static str] {
+        match self {
+            Self::Frames => &[FRAMES_ENDING],
+            Self::Recording | Self::AnyRecording => &[],
+            Self::Volume => &[".npy", ".npz"],
+            Self::Picture => &[".gif", ".png"],
+            Self::Chart => &[".svg"],
+            Self::Settings => &[".toml"],
+            Self::Stream => &[".stream"],
+        }
+    }
+}

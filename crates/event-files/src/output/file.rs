@@ -1,0 +1,115 @@
+//! A file of bytes that a command writes.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use event_types::stream::Result;
+
+use super::{Output, is_stdout};
+
+/// A file being written, whose errors name it; nothing of it stays when it is dropped before
+/// [`OutputFile::finish`].
+#[derive(Debug)]
+pub struct OutputFile {
+    // Closed before the output is removed or renamed.
+    out: BufWriter<File>,
+    output: Output,
+}
+
+impl OutputFile {
+    /// Begins a file that is there when it is complete, as [`Output::begin`].
+    ///
+    /// # Errors
+    /// A file that cannot be created; the message names it.
+    pub fn create(path: &Path) -> Result<Self> {
+        let output = Output::begin(path)?;
+        let file = output.file()?;
+        Ok(Self {
+            out: BufWriter::with_capacity(1 << 16, file),
+            output,
+        })
+    }
+
+    /// Writes what is buffered and gives the file its name.
+    ///
+    /// # Errors
+    /// I/O; the message names the file.
+    pub fn finish(mut self) -> Result<()> {
+        self.flush()?;
+        let Self { out, output } = self;
+        drop(out);
+        output.keep()
+    }
+
+    /// As [`OutputFile::finish`], of everything before a damage, as [`Output::keep_incomplete`].
+    ///
+    /// # Errors
+    /// I/O; the message names the file.
+    pub fn finish_incomplete(mut self) -> Result<PathBuf> {
+        self.flush()?;
+        let Self { out, output } = self;
+        drop(out);
+        output.keep_incomplete()
+    }
+
+    fn named(&self, error: &io::Error) -> io::Error {
+        let name = self.output.name().display();
+        // Whoever reads stdout may have seen enough; a named pipe's reader was to have all.
+        let kind = match error.kind() {
+            io::ErrorKind::BrokenPipe if !is_stdout(self.output.name()) => io::ErrorKind::Other,
+            kind => kind,
+        };
+        io::Error::new(kind, format!("{name}: cannot write: {error}"))
+    }
+}
+
+impl Write for OutputFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.out.write(bytes);
+        let written = written.map_err(|error| self.named(&error))?;
+        // Whoever reads a pipe does not wait for more.
+        if self.output.is_direct() {
+            self.flush()?;
+        }
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush().map_err(|error| self.named(&error))
+    }
+}
+
+/// Writes a whole file, in place of one that is there.
+///
+/// # Errors
+/// I/O; the message names the file.
+pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
+    let mut file = OutputFile::create(path)?;
+    file.write_all(bytes.as_ref())?;
+    file.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_finished_is_not_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("frames.eecvs");
+        let mut out = OutputFile::create(&path).unwrap();
+        out.write_all(b"half").unwrap();
+        drop(out);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        write(&path, "whole").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"whole");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_is_an_error_that_names_the_file() {
+        let error = write(Path::new("/dev/full"), "bytes").unwrap_err();
+        assert!(error.to_string().contains("/dev/full"), "{error}");
+    }
+}

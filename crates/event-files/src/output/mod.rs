@@ -1,0 +1,486 @@
+//! Files that a command writes: checked before the work, complete or not there, never over what is read.
+
+mod ending;
+mod file;
+mod same;
+pub(crate) mod sequential;
+
+use std::fs::File;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use event_types::stream::{Context, Result};
+use event_types::{bail, ensure, error};
+use tempfile::TempPath;
+
+pub use ending::Kind;
+pub use file::{OutputFile, write};
+pub use same::is_same;
+
+/// What the name of a file begins with that a live source fills, or that ends before a damage of its input.
+const INCOMPLETE: &str = "incomplete-";
+
+/// What a temporary name ends with.
+const PART: &str = ".part";
+
+/// Random characters of a temporary name.
+const RANDOM: usize = 6;
+
+/// Links that are followed from a name to its file.
+const LINKS_MAX: usize = 40;
+
+/// Refuses an output before anything is done: an ending of another kind of file, an input of the command,
+/// a file that is there already (unless `overwrite`), a folder that is not there.
+///
+/// # Errors
+/// Each of these; the message names the output and what to do.
+pub fn check(path: &Path, kind: Kind, overwrite: bool, inputs: &[&Path]) -> Result<()> {
+    let name = path.display();
+    for input in inputs {
+        ensure!(
+            !is_same(input, path),
+            Refused,
+            "{name}: input and output are the same file ({} is read): give the output another name",
+            input.display()
+        );
+    }
+    // Stdout has no ending.
+    if is_stdout(path) {
+        return Ok(());
+    }
+    kind.check(path)?;
+    if is_direct(path) {
+        return Ok(());
+    }
+    ensure!(
+        !path.is_dir(),
+        Refused,
+        "{name}: is a folder: give the name of a file"
+    );
+    ensure!(
+        overwrite || !path.exists(),
+        Refused,
+        "{name}: is there already: choose another name or --overwrite"
+    );
+    let target = target(path)?;
+    let folder = folder(&target);
+    ensure!(
+        folder.is_dir(),
+        Refused,
+        "{name}: cannot be created: there is no folder {}",
+        folder.display()
+    );
+    Ok(())
+}
+
+/// A file being written, under another name until [`Output::keep`].
+#[derive(Debug)]
+pub struct Output {
+    name: PathBuf,
+    place: Place,
+}
+
+#[derive(Debug)]
+enum Place {
+    /// A device or a pipe.
+    Direct,
+    /// A temporary file, removed where it is dropped, and the file that it becomes.
+    Part(TempPath, PathBuf),
+    /// A file that stays, whatever happens, and the file that it becomes.
+    Live(PathBuf, PathBuf),
+}
+
+impl Output {
+    /// Begins a file, which becomes `path` when it is complete and is removed otherwise. A device or a pipe
+    /// is written directly; where `path` is a link, the file behind it is replaced.
+    ///
+    /// # Errors
+    /// No file can be created there; the message names it.
+    pub fn begin(path: &Path) -> Result<Self> {
+        let place = match is_direct(path) {
+            true => Place::Direct,
+            false => {
+                let target = target(path)?;
+                let part = part(&target)
+                    .with_context(|| format!("{}: cannot be created", path.display()))?;
+                Place::Part(part, target)
+            }
+        };
+        Ok(Self {
+            name: path.to_owned(),
+            place,
+        })
+    }
+
+    /// Begins a file that a live source fills: what came stays in `incomplete-NAME` beside it unless the
+    /// file is completed. One that an earlier source left there is refused.
+    ///
+    /// # Errors
+    /// No file can be created there; the message names it.
+    pub fn begin_live(path: &Path, overwrite: bool) -> Result<Self> {
+        if is_direct(path) {
+            return Self::begin(path);
+        }
+        let target = target(path)?;
+        let part = incomplete(&target);
+        let mut options = std::fs::OpenOptions::new();
+        options.write(true);
+        let options = match overwrite {
+            true => options.create(true).truncate(true),
+            false => options.create_new(true),
+        };
+        options.open(&part).map_err(|error| {
+            let part = part.display();
+            match error.kind() {
+                ErrorKind::AlreadyExists => error!(
+                    Refused,
+                    "{part}: was left by a capture that did not end: move it away or --overwrite"
+                ),
+                _ => event_types::stream::Error::other(error)
+                    .context(format!("{part}: cannot be created")),
+            }
+        })?;
+        Ok(Self {
+            name: path.to_owned(),
+            place: Place::Live(part, target),
+        })
+    }
+
+    /// Where the file is to be written.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        match &self.place {
+            Place::Direct if is_dash(&self.name) => Path::new("/dev/stdout"),
+            Place::Direct => &self.name,
+            Place::Part(part, _) => part,
+            Place::Live(part, _) => part,
+        }
+    }
+
+    /// The file to be written.
+    ///
+    /// # Errors
+    /// It cannot be created; the message names it.
+    pub fn file(&self) -> Result<File> {
+        create_bytes(self.path())
+            .with_context(|| format!("{}: cannot be created", self.name.display()))
+    }
+
+    /// Whether what is written cannot be taken back: it goes to a device or a pipe.
+    #[must_use]
+    pub const fn is_direct(&self) -> bool {
+        matches!(self.place, Place::Direct)
+    }
+
+    /// The name that the file will have.
+    #[must_use]
+    pub fn name(&self) -> &Path {
+        &self.name
+    }
+
+    /// Ends a file that is not complete: a live one stays where something is in it, under the name that is
+    /// returned; any other is removed.
+    #[must_use]
+    pub fn leave(self) -> Option<PathBuf> {
+        let Place::Live(part, _) = self.place else {
+            return None;
+        };
+        let is_empty = std::fs::metadata(&part).is_ok_and(|metadata| metadata.len() == 0);
+        if is_empty && std::fs::remove_file(&part).is_ok() {
+            return None;
+        }
+        Some(part)
+    }
+
+    /// Ends a file that has everything before a damage of what it was made of: it gets its name unless
+    /// another file has that, and is `incomplete-NAME` beside it otherwise. Returns the name.
+    ///
+    /// # Errors
+    /// It cannot be renamed; the message names it.
+    pub fn keep_incomplete(mut self) -> Result<PathBuf> {
+        if let Place::Part(_, target) | Place::Live(_, target) = &mut self.place
+            && target.exists()
+        {
+            *target = incomplete(target);
+            self.name = incomplete(&self.name);
+        }
+        let name = self.name.clone();
+        self.keep().map(|()| name)
+    }
+
+    /// Gives the complete file its name, in place of one that has it.
+    ///
+    /// # Errors
+    /// It cannot be renamed; the message names it.
+    pub fn keep(self) -> Result<()> {
+        let renamed = match self.place {
+            Place::Direct => Ok(()),
+            Place::Part(part, target) => part.persist(target).map_err(|error| error.error),
+            Place::Live(part, target) => {
+                like(&target, &part).and_then(|()| std::fs::rename(part, target))
+            }
+        };
+        renamed.with_context(|| format!("{}: cannot be replaced", self.name.display()))
+    }
+}
+
+/// Removes a file that was only begun: a half file must not pass for a whole one.
+///
+/// Only a regular file: a device, a pipe or a link stays.
+pub fn remove_partial(path: &Path) {
+    if std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.is_file()) {
+        // The error that led here says what happened.
+        let _ = std::fs::remove_file(path);
+    }
+}
+
+/// What messages and metadata call a file: the name that it will have, where it has a temporary one.
+#[must_use]
+pub fn final_path(path: &Path) -> PathBuf {
+    let name = path.file_name().and_then(|name| name.to_str());
+    let inner = name
+        .and_then(|name| name.strip_prefix('.'))
+        .and_then(|name| name.strip_suffix(PART));
+    let stem = inner
+        .and_then(|inner| inner.rsplit_once('.'))
+        .filter(|(stem, random)| !stem.is_empty() && random.len() == RANDOM);
+    stem.map_or_else(|| path.to_owned(), |(stem, _)| path.with_file_name(stem))
+}
+
+/// The name of what is not complete of the file `name`.
+fn incomplete(name: &Path) -> PathBuf {
+    let mut incomplete = std::ffi::OsString::from(INCOMPLETE);
+    incomplete.push(name.file_name().unwrap_or_default());
+    name.with_file_name(incomplete)
+}
+
+/// An empty file beside `target` with its rights.
+fn part(target: &Path) -> std::io::Result<TempPath> {
+    let mut prefix = std::ffi::OsString::from(".");
+    prefix.push(target.file_name().unwrap_or_default());
+    prefix.push(".");
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(&prefix).suffix(PART).rand_bytes(RANDOM);
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let part = builder.tempfile_in(folder(target))?.into_temp_path();
+    let mut parts = PARTS.lock().unwrap_or_else(PoisonError::into_inner);
+    parts.push(part.to_path_buf());
+    drop(parts);
+    like(target, &part)?;
+    Ok(part)
+}
+
+/// Every temporary file of this process; those that have their names are there no more.
+static PARTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Removes the files that are not complete: the process ends.
+pub fn remove_parts() {
+    for part in PARTS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+        // It may have its name already.
+        let _ = std::fs::remove_file(part);
+    }
+}
+
+/// Gives `part` the rights of `target`, where that is there.
+fn like(target: &Path, part: &Path) -> std::io::Result<()> {
+    match std::fs::metadata(target) {
+        Ok(metadata) => std::fs::set_permissions(part, metadata.permissions()),
+        Err(_) => Ok(()),
+    }
+}
+
+fn folder(target: &Path) -> &Path {
+    let folder = target.parent();
+    let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
+    folder.unwrap_or(Path::new("."))
+}
+
+/// The file behind links, which need not be there.
+fn target(path: &Path) -> Result<PathBuf> {
+    let mut target = path.to_owned();
+    for _ in 0..LINKS_MAX {
+        let Ok(link) = std::fs::read_link(&target) else {
+            return Ok(target);
+        };
+        target = folder(&target).join(link);
+    }
+    bail!(Refused, "{}: too many links", path.display())
+}
+
+/// Whether a name stands for stdin or stdout.
+#[must_use]
+pub fn is_dash(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
+/// Whether bytes written to `path` go to stdout.
+#[must_use]
+pub fn is_stdout(path: &Path) -> bool {
+    let names = ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"];
+    names.iter().any(|name| path.as_os_str() == *name)
+}
+
+/// Opens a file to be written, empty; stdout goes on behind what is there.
+///
+/// # Errors
+/// I/O.
+pub fn create_bytes(path: &Path) -> std::io::Result<File> {
+    if is_stdout(path) {
+        return stdout();
+    }
+    File::create(path)
+}
+
+#[cfg(unix)]
+fn stdout() -> std::io::Result<File> {
+    use std::os::fd::AsFd;
+    Ok(File::from(std::io::stdout().as_fd().try_clone_to_owned()?))
+}
+
+#[cfg(windows)]
+fn stdout() -> std::io::Result<File> {
+    use std::os::windows::io::AsHandle;
+    let stdout = std::io::stdout();
+    Ok(File::from(stdout.as_handle().try_clone_to_owned()?))
+}
+
+/// Whether `path` is no place for a file of its own: a device, a pipe, an open file of a process.
+fn is_direct(path: &Path) -> bool {
+    let is_special = || {
+        let metadata = std::fs::metadata(path);
+        metadata.is_ok_and(|metadata| !metadata.is_file() && !metadata.is_dir())
+    };
+    let is_descriptor = || {
+        let folder = path.parent().and_then(|folder| folder.canonicalize().ok());
+        folder.is_some_and(|folder| folder.starts_with("/proc") || folder.starts_with("/dev/fd"))
+    };
+    is_stdout(path) || path.as_os_str() == "/dev/stderr" || is_special() || is_descriptor()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = std::fs::read_dir(folder).unwrap();
+        let mut names: Vec<String> = entries
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_is_replaced_when_it_is_complete() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.eecvs");
+        std::fs::write(&path, "old").unwrap();
+        let output = Output::begin(&path).unwrap();
+        assert_eq!(final_path(output.path()), path);
+        std::fs::write(output.path(), "ne").unwrap();
+        drop(output);
+        assert_eq!(std::fs::read(&path).unwrap(), b"old");
+        assert_eq!(names(folder.path()), ["a.eecvs"]);
+        let output = Output::begin(&path).unwrap();
+        std::fs::write(output.path(), "new").unwrap();
+        output.keep().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"new");
+        assert_eq!(names(folder.path()), ["a.eecvs"]);
+    }
+
+    #[test]
+    fn a_file_that_ends_at_a_damage_replaces_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.eecvs");
+        let keep = || {
+            let output = Output::begin(&path).unwrap();
+            std::fs::write(output.path(), "half").unwrap();
+            output.keep_incomplete().unwrap()
+        };
+        assert_eq!(keep(), path);
+        assert_eq!(names(folder.path()), ["a.eecvs"]);
+        std::fs::write(&path, "whole").unwrap();
+        for _ in 0..2 {
+            assert_eq!(keep(), folder.path().join("incomplete-a.eecvs"));
+        }
+        assert_eq!(names(folder.path()), ["a.eecvs", "incomplete-a.eecvs"]);
+        assert_eq!(std::fs::read(&path).unwrap(), b"whole");
+    }
+
+    #[test]
+    fn what_is_live_stays_with_a_mark() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.raw");
+        drop(Output::begin_live(&path, false).unwrap());
+        assert_eq!(names(folder.path()), ["incomplete-a.raw"]);
+        let error = Output::begin_live(&path, false).unwrap_err();
+        assert!(error.to_string().contains("--overwrite"), "{error}");
+        let output = Output::begin_live(&path, true).unwrap();
+        std::fs::write(output.path(), "events").unwrap();
+        let part = output.leave().unwrap();
+        assert!(part.ends_with("incomplete-a.raw"), "{part:?}");
+        assert_eq!(names(folder.path()), ["incomplete-a.raw"]);
+        let output = Output::begin_live(&path, true).unwrap();
+        output.keep().unwrap();
+        assert_eq!(names(folder.path()), ["a.raw"]);
+        let output = Output::begin_live(&path, true).unwrap();
+        assert_eq!(output.leave(), None);
+        assert_eq!(names(folder.path()), ["a.raw"]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_and_rights_stay() {
+        use std::os::unix::fs::{PermissionsExt, symlink};
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("file.raw"), folder.path().join("l.raw"));
+        std::fs::write(&file, "old").unwrap();
+        std::fs::set_permissions(&file, PermissionsExt::from_mode(0o640)).unwrap();
+        symlink("file.raw", &link).unwrap();
+        let output = Output::begin(&link).unwrap();
+        std::fs::write(output.path(), "new").unwrap();
+        output.keep().unwrap();
+        assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(std::fs::read(&file).unwrap(), b"new");
+        let mode = std::fs::metadata(&file).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o640);
+        let output = Output::begin(Path::new("/dev/null")).unwrap();
+        assert_eq!(output.path(), Path::new("/dev/null"));
+        output.keep().unwrap();
+    }
+
+    #[test]
+    fn refused_before_the_work() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("in.raw"), "events").unwrap();
+        std::fs::write(at("old.eecvs"), "frames").unwrap();
+        std::fs::hard_link(at("in.raw"), at("hard.eecvs")).unwrap();
+        let input = at("in.raw");
+        for (name, kind, overwrite, reason) in [
+            ("old.eecvs", Kind::Frames, false, "is there already"),
+            ("out.raw", Kind::Frames, true, "another kind"),
+            ("out.npy", Kind::Frames, true, "another kind"),
+            ("out.svg", Kind::Frames, true, "another kind"),
+            ("out.eecvs", Kind::Recording, true, "eecvs encode"),
+            ("out.jpg", Kind::Recording, true, "no format"),
+            ("out.raw", Kind::Volume, true, "another kind"),
+            ("hard.eecvs", Kind::Frames, true, "same file"),
+            ("./in.raw", Kind::Recording, true, "same file"),
+            ("none/a.eecvs", Kind::Frames, true, "no folder"),
+        ] {
+            let error = check(&at(name), kind, overwrite, &[&input]).unwrap_err();
+            assert!(format!("{error:#}").contains(reason), "{name}: {error:#}");
+        }
+        for (name, kind, overwrite) in [
+            ("old.eecvs", Kind::Frames, true),
+            ("new.eecvs", Kind::Frames, false),
+            ("new", Kind::Frames, false),
+            ("new.npz", Kind::Volume, false),
+        ] {
+            check(&at(name), kind, overwrite, &[&input]).unwrap();
+        }
+    }
+}

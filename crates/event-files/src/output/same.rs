@@ -1,0 +1,88 @@
+//! Whether two names lead to one file.
+
+use std::path::Path;
+
+use crate::file_of;
+
+/// Whether writing `output` would change `input`: both are one file under whatever names, the input is a
+/// place inside of the output, or a folder that the output is in.
+#[must_use]
+pub fn is_same(input: &Path, output: &Path) -> bool {
+    let (input, output) = (file_of(input), file_of(output));
+    let Some(of_input) = Identity::of(input) else {
+        return false;
+    };
+    if input.is_dir() {
+        let output = std::path::absolute(output);
+        let output = output.as_deref().unwrap_or(Path::new(""));
+        let mut folders = output.ancestors();
+        return folders.any(|folder| Identity::of(folder).as_ref() == Some(&of_input));
+    }
+    // Reading and writing a terminal or /dev/null destroys nothing.
+    let is_file = std::fs::metadata(input).is_ok_and(|metadata| metadata.is_file());
+    is_file && Identity::of(output) == Some(of_input)
+}
+
+/// What a file has once, whatever its names.
+#[derive(PartialEq, Eq)]
+struct Identity(
+    #[cfg(unix)] (u64, u64),
+    #[cfg(not(unix))] std::path::PathBuf,
+);
+
+impl Identity {
+    #[cfg(unix)]
+    fn of(path: &Path) -> Option<Self> {
+        use std::os::unix::fs::MetadataExt;
+        let metadata = std::fs::metadata(path).ok()?;
+        Some(Self((metadata.dev(), metadata.ino())))
+    }
+
+    #[cfg(not(unix))]
+    fn of(path: &Path) -> Option<Self> {
+        path.canonicalize().ok().map(Self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_file_is_found_under_every_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("a.raw"), "events").unwrap();
+        std::fs::hard_link(at("a.raw"), at("hard.raw")).unwrap();
+        std::fs::create_dir(at("bag")).unwrap();
+        std::fs::write(at("bag/metadata.yaml"), "").unwrap();
+        #[cfg(unix)]
+        std::os::unix::fs::symlink("a.raw", at("link.raw")).unwrap();
+        for (input, output, same) in [
+            ("a.raw", "a.raw", true),
+            ("a.raw", "./a.raw", true),
+            ("a.raw", "bag/../a.raw", true),
+            ("a.raw", "hard.raw", true),
+            ("a.raw", "b.raw", false),
+            ("a.raw/davis/left/events", "a.raw", true),
+            ("bag", "bag/metadata.yaml", true),
+            ("bag", "bag/new.raw", true),
+            ("bag/topic", "bag/metadata.yaml", true),
+            ("bag", "new.raw", false),
+            #[cfg(unix)]
+            ("a.raw", "link.raw", true),
+            #[cfg(unix)]
+            ("link.raw", "hard.raw", true),
+        ] {
+            assert_eq!(is_same(&at(input), &at(output)), same, "{input} {output}");
+        }
+        let open = std::fs::File::open(at("a.raw")).unwrap();
+        #[cfg(target_os = "linux")]
+        {
+            use std::os::fd::AsRawFd;
+            let name = format!("/proc/self/fd/{}", open.as_raw_fd());
+            assert!(is_same(&at("a.raw"), Path::new(&name)));
+        }
+        drop(open);
+    }
+}

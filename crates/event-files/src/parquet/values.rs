@@ -1,0 +1,381 @@
+//! Values of a Parquet page, decoded one after the other: plain, by dictionary, delta, split bytes, runs
+//! (Encodings.md of Apache Parquet's format).
+
+use super::thrift::{Compact, put_integer, put_varint};
+use crate::numpy::npy_header::{Dtype, Number};
+use crate::table::columns::Stored;
+
+/// Most values of a part of a delta block, and most parts.
+const PART_VALUES_MAX: usize = 1 << 16;
+const PARTS_MAX: usize = 512;
+
+/// Values of a delta block and of its parts that are written, as every known writer has them.
+const BLOCK_VALUES: usize = 128;
+const PART_VALUES: usize = 32;
+
+/// Encodings by their numbers.
+pub const PLAIN: i64 = 0;
+const PLAIN_DICTIONARY: i64 = 2;
+pub const RLE: i64 = 3;
+pub const DELTA: i64 = 5;
+pub const DICTIONARY: i64 = 8;
+const SPLIT: i64 = 9;
+
+/// `width` bits at bit `at`, the lowest first.
+fn bits(bytes: &[u8], at: usize, width: usize) -> Option<u64> {
+    let mut value = 0_u128;
+    let first = at / 8;
+    let last = (at + width).div_ceil(8);
+    for (index, byte) in bytes.get(first..last)?.iter().enumerate() {
+        value |= u128::from(*byte) << (8 * index);
+    }
+    let mask = (1_u128 << width) - 1;
+    Some((value >> (at % 8) & mask) as u64)
+}
+
+/// Runs of one value, and packed values in groups of eight.
+pub struct Runs {
+    bytes: Vec<u8>,
+    width: usize,
+    /// Byte of what comes next.
+    at: usize,
+    /// Values left of the present run.
+    left: u64,
+    /// The run's value, or the bit where the next packed one stands.
+    run: Run,
+}
+
+enum Run {
+    Of(u64),
+    Packed(usize),
+}
+
+impl Runs {
+    /// Values of `width` bits, at most 32.
+    pub fn new(bytes: Vec<u8>, width: u8) -> Option<Self> {
+        (width <= 32).then_some(Self {
+            bytes,
+            width: width.into(),
+            at: 0,
+            left: 0,
+            run: Run::Of(0),
+        })
+    }
+
+    /// The next value.
+    pub fn next(&mut self) -> Option<u64> {
+        while self.left == 0 {
+            let mut rest = self.bytes.get(self.at..)?;
+            let length = rest.len();
+            let header = Compact::new(&mut rest).varint()?;
+            self.at += length - rest.len();
+            let count = header >> 1;
+            if header & 1 == 1 {
+                self.left = count.checked_mul(8)?;
+                self.run = Run::Packed(self.at.checked_mul(8)?);
+                let bytes = usize::try_from(count).ok()?.checked_mul(self.width)?;
+                self.at = self.at.checked_add(bytes)?;
+            } else {
+                let size = self.width.div_ceil(8);
+                let value = bits(&self.bytes, 8 * self.at, 8 * size)?;
+                self.at += size;
+                self.left = count;
+                self.run = Run::Of(value);
+            }
+        }
+        self.left -= 1;
+        match &mut self.run {
+            Run::Of(value) => Some(*value),
+            Run::Packed(at) => {
+                let value = bits(&self.bytes, *at, self.width)?;
+                *at += self.width;
+                Some(value)
+            }
+        }
+    }
+}
+
+/// Differences in blocks, each with the least of them taken off.
+pub struct Deltas {
+    bytes: Vec<u8>,
+    at: usize,
+    part_values: usize,
+    parts: usize,
+    left: u64,
+    last: i64,
+    is_first: bool,
+    least: i64,
+    /// Widths of the parts that are left of a block.
+    widths: std::vec::IntoIter<u8>,
+    /// Of the present part: bit of the next difference, width, how many are left.
+    part: (usize, usize, usize),
+}
+
+impl Deltas {
+    fn new(bytes: Vec<u8>) -> Option<Self> {
+        let mut rest = bytes.as_slice();
+        let mut thrift = Compact::new(&mut rest);
+        let block = usize::try_from(thrift.varint()?).ok()?;
+        let parts = usize::try_from(thrift.varint()?).ok()?;
+        let left = thrift.varint()?;
+        let last = thrift.integer()?;
+        let part_values = block.checked_div(parts)?;
+        if parts > PARTS_MAX || part_values > PART_VALUES_MAX || part_values == 0 {
+            return None;
+        }
+        let at = bytes.len() - rest.len();
+        Some(Self {
+            bytes,
+            at,
+            part_values,
+            parts,
+            left,
+            last,
+            is_first: true,
+            least: 0,
+            widths: Vec::new().into_iter(),
+            part: (0, 0, 0),
+        })
+    }
+
+    fn next(&mut self) -> Option<i64> {
+        self.left = self.left.checked_sub(1)?;
+        if self.is_first {
+            self.is_first = false;
+            return Some(self.last);
+        }
+        if self.part.2 == 0 {
+            self.open_part()?;
+        }
+        let (at, width, left) = &mut self.part;
+        let delta = bits(&self.bytes, *at, *width)?;
+        *at += *width;
+        *left -= 1;
+        let step = self.least.wrapping_add(delta as i64);
+        self.last = self.last.wrapping_add(step);
+        Some(self.last)
+    }
+
+    fn open_part(&mut self) -> Option<()> {
+        let width = match self.widths.next() {
+            Some(width) => width,
+            None => {
+                let mut rest = self.bytes.get(self.at..)?;
+                let length = rest.len();
+                self.least = Compact::new(&mut rest).integer()?;
+                self.widths = rest.get(..self.parts)?.to_vec().into_iter();
+                self.at += length - rest.len() + self.parts;
+                self.widths.next()?
+            }
+        };
+        let width = usize::from(width);
+        if width > 64 {
+            return None;
+        }
+        self.part = (self.at.checked_mul(8)?, width, self.part_values);
+        self.at += (self.part_values * width).div_ceil(8);
+        Some(())
+    }
+}
+
+/// The values of a page.
+pub enum Values {
+    /// Numbers, and the byte where the next one stands.
+    Plain(Vec<u8>, Dtype, usize),
+    /// Bits, and which is next.
+    Bits(Vec<u8>, usize),
+    /// Runs of bits.
+    Runs(Runs),
+    /// Places in the dictionary.
+    Dictionary(Runs),
+    /// Differences of integers.
+    Deltas(Deltas, Dtype),
+    /// The first bytes of all numbers, the second ones and so on; and which number is next.
+    Split(Vec<u8>, Dtype, usize),
+}
+
+impl Values {
+    /// Values in `bytes`, encoded so.
+    ///
+    /// # Errors
+    /// An encoding that is not read, or damage.
+    pub fn new(bytes: Vec<u8>, encoding: i64, stored: Stored) -> Result<Self, String> {
+        let damaged = || "a damaged page".to_owned();
+        Ok(match (encoding, stored) {
+            (PLAIN, Stored::Number(dtype)) => Self::Plain(bytes, dtype, 0),
+            (PLAIN, Stored::Bool) => Self::Bits(bytes, 0),
+            (RLE, Stored::Bool) => {
+                // Behind the number of their bytes.
+                let runs = bytes.get(4..).map(<[u8]>::to_vec);
+                Self::Runs(
+                    runs.and_then(|runs| Runs::new(runs, 1))
+                        .ok_or_else(damaged)?,
+                )
+            }
+            (DICTIONARY | PLAIN_DICTIONARY, _) => {
+                let (width, runs) = bytes.split_first().ok_or_else(damaged)?;
+                Self::Dictionary(Runs::new(runs.to_vec(), *width).ok_or_else(damaged)?)
+            }
+            (DELTA, Stored::Number(dtype)) => {
+                Self::Deltas(Deltas::new(bytes).ok_or_else(damaged)?, dtype)
+            }
+            (SPLIT, Stored::Number(dtype)) => Self::Split(bytes, dtype, 0),
+            (other, _) => {
+                return Err(format!(
+                    "values of encoding {other} are not read: write it again with the default encodings"
+                ));
+            }
+        })
+    }
+
+    /// The next value; `Some(None)` is a number above 2^63 - 1, `None` damage or the end.
+    pub fn next(&mut self, dictionary: &[Option<Number>]) -> Option<Option<Number>> {
+        match self {
+            Self::Plain(bytes, dtype, at) => {
+                let number = bytes.get(*at..*at + dtype.bytes)?;
+                *at += dtype.bytes;
+                Some(dtype.number(number))
+            }
+            Self::Bits(bytes, at) => {
+                let bit = bits(bytes, *at, 1)?;
+                *at += 1;
+                Some(Some(Number::Whole(bit as i64)))
+            }
+            Self::Runs(runs) => Some(Some(Number::Whole(runs.next()? as i64))),
+            Self::Dictionary(runs) => {
+                let place = usize::try_from(runs.next()?).ok()?;
+                dictionary.get(place).copied()
+            }
+            Self::Deltas(deltas, dtype) => Some(dtype.number(&deltas.next()?.to_le_bytes())),
+            Self::Split(bytes, dtype, at) => {
+                let count = bytes.len() / dtype.bytes;
+                if *at >= count {
+                    return None;
+                }
+                let number: Vec<u8> = bytes.iter().skip(*at).step_by(count).copied().collect();
+                *at += 1;
+                Some(dtype.number(&number))
+            }
+        }
+    }
+}
+
+/// Encodes integers as differences.
+pub fn deltas(values: &[i64]) -> Vec<u8> {
+    let mut out = Vec::new();
+    put_varint(&mut out, BLOCK_VALUES as u64);
+    put_varint(&mut out, (BLOCK_VALUES / PART_VALUES) as u64);
+    put_varint(&mut out, values.len() as u64);
+    put_integer(&mut out, values.first().copied().unwrap_or(0));
+    let steps: Vec<i64> = values
+        .windows(2)
+        .map(|pair| match pair {
+            [before, after] => after.wrapping_sub(*before),
+            _ => 0,
+        })
+        .collect();
+    for block in steps.chunks(BLOCK_VALUES) {
+        let least = block.iter().min().copied().unwrap_or(0);
+        put_integer(&mut out, least);
+        let over: Vec<u64> = block
+            .iter()
+            .map(|step| step.wrapping_sub(least) as u64)
+            .collect();
+        let width = |part: &[u64]| {
+            let all = part.iter().fold(0, |all, value| all | value);
+            64 - all.leading_zeros()
+        };
+        let parts: Vec<&[u64]> = over.chunks(PART_VALUES).collect();
+        let widths = (0..BLOCK_VALUES / PART_VALUES)
+            .map(|index| parts.get(index).map_or(0, |part| width(part)));
+        out.extend(widths.map(|width| width as u8));
+        for part in parts {
+            let width = width(part);
+            let (mut word, mut filled) = (0_u128, 0);
+            // Parts are whole.
+            let padding = std::iter::repeat_n(&0, PART_VALUES - part.len());
+            for value in part.iter().chain(padding) {
+                word |= u128::from(*value) << filled;
+                filled += width;
+                while filled >= 8 {
+                    out.push(word as u8);
+                    word >>= 8;
+                    filled -= 8;
+                }
+            }
+        }
+    }
+    out
+}
+
+/// Values as runs of equal ones, of `width` bits.
+pub fn runs(values: impl IntoIterator<Item = u32>, width: u8) -> Vec<u8> {
+    let bytes = usize::from(width.div_ceil(8));
+    let mut out = Vec::new();
+    let mut put = |(value, count): (u32, u64)| {
+        put_varint(&mut out, count << 1);
+        out.extend(value.to_le_bytes().iter().take(bytes));
+    };
+    let mut run: Option<(u32, u64)> = None;
+    for value in values {
+        match &mut run {
+            Some((of, count)) if *of == value => *count += 1,
+            other => {
+                other.take().into_iter().for_each(&mut put);
+                *other = Some((value, 1));
+            }
+        }
+    }
+    run.into_iter().for_each(put);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differences_go_back() {
+        let far = [5, i64::MAX, i64::MIN, 0, -1];
+        let long: Vec<i64> = (0..1000).map(|i| i * i % 977 - 300).collect();
+        for values in [&far[..], &long, &long[..129], &long[..1], &[]] {
+            let mut deltas = Deltas::new(deltas(values)).unwrap();
+            let got: Vec<i64> = std::iter::from_fn(|| deltas.next()).collect();
+            assert_eq!(got, values);
+        }
+    }
+
+    #[test]
+    fn runs_go_back() {
+        for (values, width) in [(&[1, 1, 0, 1][..], 1), (&[300, 7, 7], 9), (&[0; 1000], 1)] {
+            let mut read = Runs::new(runs(values.iter().copied(), width), width).unwrap();
+            let got: Vec<u64> = std::iter::from_fn(|| read.next()).collect();
+            let want: Vec<u64> = values.iter().map(|value| u64::from(*value)).collect();
+            assert_eq!(got, want);
+        }
+    }
+
+    #[test]
+    fn runs_and_packed_values() {
+        // Three of 5, then eight packed in 3 bits: 0 to 7 (the example of the format's description).
+        let mut runs = Runs::new(vec![6, 5, 3, 0x88, 0xc6, 0xfa], 3).unwrap();
+        let got: Vec<u64> = std::iter::from_fn(|| runs.next()).collect();
+        assert_eq!(got, [5, 5, 5, 0, 1, 2, 3, 4, 5, 6, 7]);
+        // Runs of nothing end.
+        assert_eq!(Runs::new(vec![0; 9], 1).unwrap().next(), None);
+        assert!(Runs::new(Vec::new(), 33).is_none());
+    }
+
+    #[test]
+    fn hostile_blocks_are_refused() {
+        for bytes in [
+            &[0x80, 1, 0, 9, 0][..],
+            &[0xff, 0xff, 0xff, 0xff, 0x7f, 1, 9, 0],
+            &[8, 16, 9, 0],
+        ] {
+            assert!(Deltas::new(bytes.to_vec()).is_none(), "{bytes:?}");
+        }
+        let mut wide = Deltas::new(vec![32, 1, 3, 0, 0, 65, 0, 0]).unwrap();
+        assert_eq!((wide.next(), wide.next()), (Some(0), None));
+    }
+}

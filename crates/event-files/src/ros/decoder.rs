@@ -1,0 +1,236 @@
+//! Events out of messages, whatever file these come from.
+//!
+//! [`super::message_events`] says what their times are, `seek.rs` how one is found.
+
+use std::io::Read;
+
+use event_types::Sensor;
+use event_types::stream::{ErrorKind, Result};
+
+use super::fields::Serialisation;
+use super::message::{Head, Kind};
+use super::message_events::MessageEvents;
+use super::topics::{Topics, Use};
+use crate::input::{Batch, Decode, Reader};
+use crate::{Assumption, Skipped};
+
+/// Longest message.
+pub const MESSAGE_MAX: usize = 1 << 28;
+
+/// The messages of a bag, one after the other.
+pub trait Messages: Send {
+    /// As [`Decode::format`].
+    fn format(&self) -> &'static str;
+
+    /// Puts the next message of the wanted topic in place of `message`, and counts those of others;
+    /// `None` at the end.
+    ///
+    /// # Errors
+    /// A damaged or truncated file.
+    fn next(
+        &mut self,
+        message: &mut Vec<u8>,
+        topics: &mut Topics,
+        skipped: &mut Skipped,
+    ) -> Result<Option<(Kind, Serialisation)>>;
+
+    /// Number of places from which messages can be read on, in the file's order, where the file tells
+    /// them; the first is its beginning. What is read next stays the same.
+    ///
+    /// # Errors
+    /// I/O.
+    fn places(&mut self, topics: &mut Topics) -> Result<Option<u64>> {
+        let _ = topics;
+        Ok(None)
+    }
+
+    /// Reads on from one of [`Messages::places`], which has been asked.
+    ///
+    /// # Errors
+    /// I/O.
+    fn go(&mut self, place: u64, topics: &mut Topics) -> Result<()> {
+        let _ = (place, topics);
+        Ok(())
+    }
+
+    /// Error at byte `at` of the message that was read last.
+    fn error(&self, at: usize, what: &str) -> event_types::stream::Error;
+}
+
+/// First bytes of a frame of Zstandard. A message of ROS 2 begins with 0 and its encapsulation instead.
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// Messages each of which may be compressed, as rosbag2's compression mode `message` makes them.
+struct Unpacked(Box<dyn Messages>);
+
+impl Unpacked {
+    fn unpack(message: &mut Vec<u8>) -> Result<(), String> {
+        let mut unpacked = Vec::new();
+        let decoder = ruzstd::decoding::StreamingDecoder::new(message.as_slice());
+        let decoder = decoder.map_err(|error| error.to_string())?;
+        let read = decoder
+            .take(MESSAGE_MAX as u64 + 1)
+            .read_to_end(&mut unpacked);
+        read.map_err(|error| error.to_string())?;
+        if unpacked.len() > MESSAGE_MAX {
+            return Err(format!("it has more than {MESSAGE_MAX} bytes"));
+        }
+        *message = unpacked;
+        Ok(())
+    }
+}
+
+impl Messages for Unpacked {
+    fn format(&self) -> &'static str {
+        self.0.format()
+    }
+
+    fn next(
+        &mut self,
+        message: &mut Vec<u8>,
+        topics: &mut Topics,
+        skipped: &mut Skipped,
+    ) -> Result<Option<(Kind, Serialisation)>> {
+        let next = self.0.next(message, topics, skipped)?;
+        if matches!(next, Some((_, Serialisation::Cdr))) && message.starts_with(&ZSTD_MAGIC) {
+            Self::unpack(message).map_err(|what| {
+                let what = format!("a message cannot be decompressed ({what}): it is damaged");
+                self.0.error(0, &what)
+            })?;
+        }
+        Ok(next)
+    }
+
+    fn places(&mut self, topics: &mut Topics) -> Result<Option<u64>> {
+        self.0.places(topics)
+    }
+
+    fn go(&mut self, place: u64, topics: &mut Topics) -> Result<()> {
+        self.0.go(place, topics)
+    }
+
+    fn error(&self, at: usize, what: &str) -> event_types::stream::Error {
+        self.0.error(at, what)
+    }
+}
+
+/// What to do with a topic once it was found out, by number.
+pub type Uses = std::collections::HashMap<u64, Use>;
+
+/// Reader of bags.
+pub type RosReader = Reader<RosDecoder>;
+
+impl RosReader {
+    /// Reads `messages` up to the first one of the topic `place`, or of the first topic of events.
+    ///
+    /// # Errors
+    /// No such topic, no sensor size, a damaged file.
+    pub fn new(
+        messages: Box<dyn Messages>,
+        place: Option<&str>,
+        size: Option<Sensor>,
+    ) -> Result<Self> {
+        let mut messages: Box<dyn Messages> = Box::new(Unpacked(messages));
+        let mut topics = Topics::new(place);
+        let (mut message, mut skipped) = (Vec::new(), Skipped::default());
+        let Some((kind, serialisation)) = messages.next(&mut message, &mut topics, &mut skipped)?
+        else {
+            return Err(messages.error(0, &topics.missing()));
+        };
+        let head = Head::read(&message, kind, serialisation)
+            .map_err(|(at, what)| messages.error(at, &what))?;
+        let sensor = match (head.width, head.height) {
+            (0, 0) => size.ok_or_else(|| {
+                let what = "the messages tell no sensor size: give --width W --height H";
+                messages.error(0, what).of_kind(ErrorKind::Undecided)
+            })?,
+            (width, height) => {
+                let side = |side| u16::try_from(side).unwrap_or(0);
+                Sensor::new(side(width), side(height)).ok_or_else(|| {
+                    let what = format!("sensor size {width}x{height} is out of range");
+                    messages.error(0, &what)
+                })?
+            }
+        };
+        let mut events = MessageEvents::new(sensor);
+        events.skipped = skipped;
+        events.take(message, head.content);
+        Ok(Self::around(RosDecoder {
+            messages,
+            topics,
+            told: (head.width, head.height),
+            events,
+        }))
+    }
+}
+
+/// State between two batches.
+pub struct RosDecoder {
+    pub(super) messages: Box<dyn Messages>,
+    pub(super) topics: Topics,
+    /// Width and height as the first message tells them.
+    pub(super) told: (u32, u32),
+    pub(super) events: MessageEvents,
+}
+
+impl RosDecoder {
+    /// Begins the next message; false at the end.
+    fn next(&mut self) -> Result<bool> {
+        let events = &mut self.events;
+        let next =
+            self.messages
+                .next(&mut events.message, &mut self.topics, &mut events.skipped)?;
+        let Some((kind, serialisation)) = next else {
+            return Ok(false);
+        };
+        let head = Head::read(&events.message, kind, serialisation)
+            .map_err(|(at, what)| self.messages.error(at, &what))?;
+        if (head.width, head.height) != self.told {
+            let (width, height) = self.told;
+            let what = format!(
+                "the sensor's size is {}x{} here and {width}x{height} before: convert the parts",
+                head.width, head.height
+            );
+            return Err(self.messages.error(0, &what));
+        }
+        events.begin(head.content);
+        Ok(true)
+    }
+}
+
+impl Decode for RosDecoder {
+    fn format(&self) -> &'static str {
+        self.messages.format()
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.events.sensor()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        self.events.assumptions()
+    }
+
+    fn skipped(&self) -> &Skipped {
+        self.events.skipped()
+    }
+
+    fn leave_out_bad_events(&mut self) -> bool {
+        self.events.leave_out = true;
+        true
+    }
+
+    fn seek(&mut self, t_us: u64) -> Result<bool> {
+        self.seek_to(t_us)
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
+        loop {
+            let read = self.events.read(batch);
+            let has_room = read.map_err(|(at, what)| self.messages.error(at, &what))?;
+            if !has_room || !self.next()? {
+                return Ok(());
+            }
+        }
+    }
+}

@@ -1,0 +1,211 @@
+//! A bag of ROS 2 in a folder: `metadata.yaml` and files one after the other.
+//!
+//! Of the metadata only the list `relative_file_paths` is read, whose items are on lines of their own;
+//! rosbag2 writes no other form. Compressed messages and compressed files are read as they are.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use event_types::stream::{Context, Result};
+use event_types::{Sensor, bail, ensure, error};
+use tempfile::TempPath;
+
+use super::decoder::{Messages, RosReader};
+use super::fields::Serialisation;
+use super::message::Kind;
+use super::topics::Topics;
+use super::{db3, mcap};
+use crate::Skipped;
+use crate::format::Format;
+
+/// The file that makes a folder a bag.
+pub use crate::format::METADATA;
+
+/// What messages call it.
+pub const FORMAT: Format = Format {
+    name: "rosbag2",
+    title: "ROS 2 bag",
+    has_places: true,
+    is_table: false,
+    create: None,
+    ..mcap::FORMAT
+};
+
+/// Longest metadata.
+const METADATA_MAX: u64 = 1 << 24;
+
+/// Reads the bag in the folder `path`, as [`RosReader::new`].
+///
+/// # Errors
+/// As [`RosReader::new`]; no metadata.
+pub fn open(path: &Path, place: Option<&str>, size: Option<Sensor>) -> Result<RosReader> {
+    let name = path.join(METADATA).display().to_string();
+    let metadata = std::fs::metadata(path.join(METADATA)).with_context(|| {
+        let folder = path.display();
+        format!("{folder}: is a directory, not a recording, nor a bag of ROS 2 ({METADATA})")
+    })?;
+    ensure!(
+        metadata.len() <= METADATA_MAX,
+        Damaged,
+        "{name}: byte {METADATA_MAX}: longer than metadata is"
+    );
+    let text = std::fs::read_to_string(path.join(METADATA))
+        .with_context(|| format!("{name}: byte 0: cannot be read as text"))?;
+    let files = files(&text);
+    ensure!(
+        !files.is_empty(),
+        Damaged,
+        "{name}: byte 0: no relative_file_paths: write it anew with `ros2 bag reindex`"
+    );
+    let files: Vec<PathBuf> = files.iter().map(|file| path.join(file)).collect();
+    let messages = Folder {
+        name,
+        files,
+        next: 0,
+        file: None,
+        places: Vec::new(),
+    };
+    RosReader::new(Box::new(messages), place, size)
+}
+
+/// The items of the list `relative_file_paths`.
+fn files(text: &str) -> Vec<&str> {
+    let mut lines = text.lines().map(str::trim);
+    lines.by_ref().find(|line| *line == "relative_file_paths:");
+    let items = lines.map_while(|line| line.strip_prefix("- "));
+    items
+        .map(|item| item.trim().trim_matches(['"', '\'']))
+        .collect()
+}
+
+/// The messages of several files.
+struct Folder {
+    name: String,
+    files: Vec<PathBuf>,
+    /// Number of the file behind the present one.
+    next: usize,
+    file: Option<Opened>,
+    /// Places of each file, once asked.
+    places: Vec<u64>,
+}
+
+/// A file of a bag, and where it was decompressed to, if it was compressed.
+struct Opened {
+    messages: Box<dyn Messages>,
+    _unpacked: Option<TempPath>,
+}
+
+/// Opens one file of a bag; one that rosbag2 has compressed as a whole (`.zstd`) by way of a temporary file.
+fn open_file(path: &Path) -> Result<Opened> {
+    let name = path.display().to_string();
+    if path.extension().is_none_or(|extension| extension != "zstd") {
+        return Ok(Opened {
+            messages: open_plain(path, path, &name)?,
+            _unpacked: None,
+        });
+    }
+    let packed = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
+    let mut unpacked =
+        tempfile::NamedTempFile::new().with_context(|| format!("{name}: no temporary file"))?;
+    let what = || format!("{name}: byte 0: cannot be decompressed");
+    let mut decoder = ruzstd::decoding::StreamingDecoder::new(BufReader::new(packed))
+        .map_err(std::io::Error::other)
+        .with_context(what)?;
+    std::io::copy(&mut decoder, unpacked.as_file_mut()).with_context(what)?;
+    let unpacked = unpacked.into_temp_path();
+    Ok(Opened {
+        messages: open_plain(&unpacked, &path.with_extension(""), &name)?,
+        _unpacked: Some(unpacked),
+    })
+}
+
+/// Opens the file at `path`, which was called `called` in the bag.
+fn open_plain(path: &Path, called: &Path, name: &str) -> Result<Box<dyn Messages>> {
+    match called.extension().and_then(|extension| extension.to_str()) {
+        Some("mcap") => {
+            let file = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
+            Ok(Box::new(mcap::Mcap::new(Box::new(file), name)?))
+        }
+        Some("db3") => Ok(Box::new(db3::Database::new(path, name)?)),
+        _ => bail!(
+            Unsupported,
+            "{name}: byte 0: a bag's files are .mcap or .db3, or these in .zstd"
+        ),
+    }
+}
+
+impl Messages for Folder {
+    fn format(&self) -> &'static str {
+        let file = self.file.as_ref();
+        file.map_or(FORMAT.name, |file| file.messages.format())
+    }
+
+    fn next(
+        &mut self,
+        message: &mut Vec<u8>,
+        topics: &mut Topics,
+        skipped: &mut Skipped,
+    ) -> Result<Option<(Kind, Serialisation)>> {
+        loop {
+            if let Some(file) = &mut self.file
+                && let Some(next) = file.messages.next(message, topics, skipped)?
+            {
+                return Ok(Some(next));
+            }
+            let Some(path) = self.files.get(self.next) else {
+                return Ok(None);
+            };
+            self.file = Some(open_file(path)?);
+            self.next += 1;
+        }
+    }
+
+    fn places(&mut self, topics: &mut Topics) -> Result<Option<u64>> {
+        if self.places.is_empty() {
+            for file in &self.files {
+                // Without an index a file has its beginning.
+                let places = open_file(file)?.messages.places(topics)?.unwrap_or(1);
+                self.places.push(places);
+            }
+        }
+        let sum = |sum: u64, places: &u64| sum.checked_add(*places);
+        Ok(self.places.iter().try_fold(0, sum))
+    }
+
+    fn go(&mut self, mut place: u64, topics: &mut Topics) -> Result<()> {
+        for (number, (path, places)) in self.files.iter().zip(&self.places).enumerate() {
+            if place < *places {
+                let mut file = open_file(path)?;
+                // Its own index: the topics of earlier files are not met.
+                file.messages.places(topics)?;
+                file.messages.go(place, topics)?;
+                self.file = Some(file);
+                self.next = number + 1;
+                return Ok(());
+            }
+            place -= places;
+        }
+        Ok(())
+    }
+
+    fn error(&self, at: usize, what: &str) -> event_types::stream::Error {
+        match &self.file {
+            Some(file) => file.messages.error(at, what),
+            None => error!(Damaged, "{}: byte {at}: {what}", self.name),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_listed_in_their_order() {
+        let text = "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n    - b_0.db3\n    \
+                    - \"b_1.db3\"\n  duration:\n    nanoseconds: 1\n";
+        assert_eq!(files(text), ["b_0.db3", "b_1.db3"]);
+        assert!(files("version: 5\n").is_empty());
+    }
+}

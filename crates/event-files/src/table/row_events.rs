@@ -1,0 +1,675 @@
+//! Rows of numbers become events, as the file and the caller say: unit and offset of the times, clocks of 32
+//! bits that wrap, what polarities are, and events that cannot be one.
+//!
+//! * The unit: the caller's, else the file's, else the rule of [`crate::table::time_unit`].
+//! * A time of an unsigned type of 32 bits that falls back by more than 2^31 has wrapped: the clock goes on.
+//! * p: 1 or true is on; 0, false or -1 is off. 0 and -1 cannot both be off: a recording that has both is
+//!   refused. Where it has 1 too, 0 is no event (`CeleX`), and is left out where the caller wants that.
+//! * What cannot be an event ends the recording with an error, or is left out and counted by its cause.
+
+use event_types::stream::Result;
+use event_types::{Event, Polarity, Sensor, error};
+
+use crate::numpy::npy_header::{Dtype, Number};
+use crate::reading::{BadEvents, Reading, TimeUnit};
+use crate::table::event_numbers::{P, Row, T, X, Y, coordinate};
+use crate::table::time_unit;
+use crate::{Assumption, Skipped};
+
+/// Half of what a clock of 32 bits counts.
+const HALF_CLOCK: i64 = 1 << 31;
+
+/// How near to its ends a clock of 32 bits may step back over a wrap, in its units.
+const NEAR_WRAP: i64 = 1 << 24;
+
+/// Causes that events are left out for.
+const OUTSIDE: &str = "events outside of the sensor";
+const MISSING: &str = "events with a missing value";
+const NO_POLARITY: &str = "events of no polarity";
+const NO_TIME: &str = "events with an impossible time";
+const NO_PIXEL: &str = "events between pixels";
+
+/// A time in microseconds is a number times `times` divided by `by`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Scale {
+    times: i64,
+    by: i64,
+}
+
+impl Scale {
+    /// Microseconds.
+    pub const US: Self = Self { times: 1, by: 1 };
+
+    /// Numbers are `times / by` microseconds each; neither is below 1.
+    pub const fn new(times: i64, by: i64) -> Self {
+        Self { times, by }
+    }
+
+    /// Numbers are microseconds times 10 to this.
+    pub fn shift(shift: i32) -> Self {
+        let power = 10_i64.saturating_pow(shift.unsigned_abs());
+        if shift >= 0 {
+            Self::new(power, 1)
+        } else {
+            Self::new(1, power)
+        }
+    }
+
+    /// The time in us, rounded to the nearest; `None` where it is no number or beyond 2^63.
+    pub fn us(self, time: Number) -> Option<i64> {
+        match time {
+            Number::Whole(time) if self.by == 1 => time.checked_mul(self.times),
+            Number::Whole(time) => {
+                let (by, scaled) = (
+                    i128::from(self.by),
+                    i128::from(time) * i128::from(self.times),
+                );
+                let rounded = scaled.div_euclid(by) + i128::from(scaled.rem_euclid(by) * 2 >= by);
+                i64::try_from(rounded).ok()
+            }
+            Number::Float(time) => {
+                // Never both of them: seconds are scaled as other programs do it, to the last bit.
+                let scaled = if self.by == 1 {
+                    time * self.times as f64
+                } else {
+                    time * self.times as f64 / self.by as f64
+                };
+                let rounded = scaled.round();
+                (-9.2e18..9.2e18)
+                    .contains(&rounded)
+                    .then_some(rounded as i64)
+            }
+        }
+    }
+}
+
+/// By how much a time in floats may miss a whole microsecond as floats do, in us.
+const FLOAT_NOISE_US: f64 = 1e-3;
+
+impl Scale {
+    /// Whether [`Scale::us`] rounds the time away, beyond what floats do by themselves.
+    fn rounds(self, time: Number) -> bool {
+        match time {
+            Number::Whole(time) => {
+                self.by > 1 && i128::from(time) * i128::from(self.times) % i128::from(self.by) != 0
+            }
+            Number::Float(time) => {
+                let us = time * (self.times as f64 / self.by as f64);
+                // A value of 32 bits is as far off as these are.
+                let epsilon = if f64::from(time as f32) == time {
+                    f64::from(f32::EPSILON)
+                } else {
+                    4.0 * f64::EPSILON
+                };
+                (us - us.round()).abs() > FLOAT_NOISE_US + us.abs() * epsilon
+            }
+        }
+    }
+}
+
+impl From<TimeUnit> for Scale {
+    fn from(unit: TimeUnit) -> Self {
+        Self::shift(unit.shift())
+    }
+}
+
+/// What a file says of its times.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Times {
+    /// What a number is, where the file, or the layout that it has, states it.
+    pub scale: Option<Scale>,
+    /// Whether they are of an unsigned type of 32 bits.
+    pub is_u32: bool,
+    /// Whether they are of a type of floats.
+    pub is_float: bool,
+    /// What is added to every time, in us.
+    pub offset_us: i64,
+}
+
+impl Times {
+    /// Times of this type.
+    pub fn of(dtype: Option<Dtype>) -> Self {
+        Self {
+            scale: dtype.and_then(Dtype::scale),
+            is_u32: dtype.is_some_and(Dtype::is_u32),
+            is_float: dtype.is_some_and(Dtype::is_float),
+            offset_us: 0,
+        }
+    }
+}
+
+/// What columns, rows and polarities are counted from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Base {
+    pub pixel: i64,
+    pub polarity: i64,
+}
+
+/// Which polarities have been met.
+#[derive(Debug, Clone, Copy, Default)]
+struct Met {
+    zero: bool,
+    minus: bool,
+    one: bool,
+}
+
+impl Met {
+    fn of(rows: &[Row]) -> Self {
+        let mut met = Self::default();
+        for row in rows {
+            match row[P].and_then(Number::whole) {
+                Some(0) => met.zero = true,
+                Some(-1) => met.minus = true,
+                Some(1) => met.one = true,
+                _ => {}
+            }
+        }
+        met
+    }
+}
+
+/// Makes events of rows.
+pub struct RowEvents {
+    /// The sensor.
+    pub sensor: Sensor,
+    /// What is counted from.
+    base: Base,
+    /// What is no event, and was left out or passed by.
+    pub skipped: Skipped,
+    /// What was taken to be so.
+    pub assumptions: Vec<Assumption>,
+    scale: Scale,
+    offset_us: i64,
+    leave_out: bool,
+    /// Whether polarities of 0 are none.
+    zero_is_none: bool,
+    met: Met,
+    /// Of times of 32 bits: the last one, and what the wraps before it add.
+    clock: Option<(i64, i64)>,
+    /// Whether a time was rounded, which was said.
+    is_rounded: bool,
+}
+
+impl RowEvents {
+    /// Makes events of rows that begin with `sample`, at most [`time_unit::SAMPLE_TIMES`] of them.
+    ///
+    /// # Errors
+    /// The unit of the times is unclear, or more than two polarities.
+    pub fn new(
+        reading: &Reading,
+        times: Times,
+        base: Base,
+        sample: &[Row],
+    ) -> Result<Self, String> {
+        let mut assumptions = Vec::new();
+        let scale = match (reading.time_unit, times.scale) {
+            (Some(unit), _) => unit.into(),
+            (None, Some(scale)) => scale,
+            (None, None) => {
+                let first = sample.iter().filter_map(|row| row[T]).map(Number::float);
+                let first: Vec<f64> = first.filter(|time| time.is_finite()).collect();
+                let taken = time_unit::unstated(&first, !times.is_float)?;
+                // Of no event there is no time.
+                if !first.is_empty() {
+                    assumptions.push(Assumption {
+                        what: "time unit",
+                        taken: taken.unit.name().to_owned(),
+                        why: taken.why,
+                    });
+                }
+                taken.unit.into()
+            }
+        };
+        if base.pixel != 0 {
+            assumptions.push(Assumption {
+                what: "first pixel",
+                taken: "1".to_owned(),
+                why: "MATLAB counts from 1, and no column or row is 0".to_owned(),
+            });
+        }
+        if base.polarity != 0 {
+            assumptions.push(Assumption {
+                what: "polarity",
+                taken: "2 for on, 1 for off".to_owned(),
+                why: "all are 1 or 2".to_owned(),
+            });
+        }
+        let leave_out = reading.bad_events == BadEvents::LeaveOut;
+        let met = Met::of(sample);
+        let is_mixed = base.polarity == 0 && met.zero && met.minus;
+        let zero_is_none = is_mixed && met.one && leave_out;
+        if is_mixed && !zero_is_none {
+            return Err(mixed(met.one));
+        }
+        if zero_is_none {
+            assumptions.push(Assumption {
+                what: "polarity",
+                taken: "1 for on, -1 for off, 0 for no event".to_owned(),
+                why: "there are three".to_owned(),
+            });
+        }
+        Ok(Self {
+            sensor: Sensor {
+                width: 1,
+                height: 1,
+            },
+            base,
+            skipped: Skipped::default(),
+            assumptions,
+            scale,
+            offset_us: times.offset_us.saturating_add(reading.time_offset_us),
+            leave_out,
+            zero_is_none,
+            met: Met::default(),
+            clock: times.is_u32.then_some((0, 0)),
+            is_rounded: false,
+        })
+    }
+
+    /// Whether a time does not tell by itself what it is in us.
+    pub const fn may_wrap(&self) -> bool {
+        self.clock.is_some()
+    }
+
+    /// A time in us, of a clock that does not wrap; `None` where it is none.
+    pub fn t_us(&self, time: Option<Number>) -> Option<u64> {
+        let t_us = self.scale.us(time?)?.checked_add(self.offset_us)?;
+        u64::try_from(t_us).ok()
+    }
+
+    /// Begins again with the first row.
+    pub fn rewind(&mut self) {
+        self.clock = self.clock.map(|_| (0, 0));
+    }
+
+    /// The event of a row, or none where it was left out; else which of t, x, y and p is wrong, and how.
+    #[inline]
+    pub fn event(&mut self, row: &Row) -> Result<Option<Event>, (usize, String)> {
+        match self.whole(row) {
+            Ok(event) => Ok(Some(event)),
+            Err(bad) => self.bad(row, &bad),
+        }
+    }
+
+    #[cold]
+    fn bad(&mut self, row: &Row, bad: &Bad) -> Result<Option<Event>, (usize, String)> {
+        let (which, cause, what) = bad.told(row, self.sensor);
+        match cause {
+            Some(cause) if self.leave_out => {
+                self.skipped.add(cause, 1);
+                Ok(None)
+            }
+            Some(_) => Err((
+                which,
+                format!("{what}; --leave-out-bad-events leaves such events out"),
+            )),
+            None => Err((which, what)),
+        }
+    }
+
+    fn whole(&mut self, row: &Row) -> Result<Event, Bad> {
+        let t_us = self.time(row[T].ok_or(Bad::TooLarge(T))?)?;
+        let side = |which: usize| {
+            let number = row[which].ok_or(Bad::TooLarge(which))?;
+            match number.whole() {
+                Some(value) => Ok(value - self.base.pixel),
+                None if number.float().is_nan() => Err(Bad::Missing(which)),
+                None => Err(Bad::Between(which)),
+            }
+        };
+        let (x, y) = (side(X)?, side(Y)?);
+        let polarity = self.polarity(row[P].ok_or(Bad::TooLarge(P))?)?;
+        match (u16::try_from(x), u16::try_from(y)) {
+            (Ok(x), Ok(y)) if self.sensor.contains(x, y) => Ok(Event {
+                t_us,
+                x,
+                y,
+                polarity,
+            }),
+            _ => Err(Bad::Outside(x, y)),
+        }
+    }
+
+    fn time(&mut self, time: Number) -> Result<u64, Bad> {
+        let time = match (&mut self.clock, time) {
+            (Some((last, wraps)), Number::Whole(now)) => {
+                if *last - now > HALF_CLOCK {
+                    *wraps += 2 * HALF_CLOCK;
+                    if *wraps == 2 * HALF_CLOCK {
+                        self.assumptions.push(Assumption {
+                            what: "clock",
+                            taken: "of 32 bits, going on where it wraps".to_owned(),
+                            why: "times of type uint32 fall back by more than 2^31".to_owned(),
+                        });
+                    }
+                } else if *last < NEAR_WRAP && now > 2 * HALF_CLOCK - NEAR_WRAP && *wraps > 0 {
+                    // A step back over the wrap, as packets out of order make it.
+                    *wraps -= 2 * HALF_CLOCK;
+                }
+                *last = now;
+                Number::Whole(now + *wraps)
+            }
+            (_, time) => time,
+        };
+        if time.float().is_nan() {
+            return Err(Bad::Missing(T));
+        }
+        let t_us = self
+            .scale
+            .us(time)
+            .and_then(|t_us| t_us.checked_add(self.offset_us));
+        let t_us = t_us.ok_or(Bad::NoTime)?;
+        if !self.is_rounded && self.scale.rounds(time) {
+            self.is_rounded = true;
+            self.assumptions
+                .push(Assumption::times_rounded("to the nearest"));
+        }
+        u64::try_from(t_us).map_err(|_| Bad::Negative(t_us))
+    }
+
+    fn polarity(&mut self, number: Number) -> Result<Polarity, Bad> {
+        match number.whole().map(|value| value - self.base.polarity) {
+            Some(1) => {
+                self.met.one = true;
+                Ok(Polarity::On)
+            }
+            Some(0) if self.zero_is_none => Err(Bad::NoPolarity),
+            Some(0) => {
+                self.met.zero = true;
+                if self.met.minus {
+                    Err(Bad::Mixed)
+                } else {
+                    Ok(Polarity::Off)
+                }
+            }
+            Some(-1) if self.base.polarity == 0 => {
+                self.met.minus = true;
+                if self.met.zero {
+                    Err(Bad::Mixed)
+                } else {
+                    Ok(Polarity::Off)
+                }
+            }
+            _ if number.float().is_nan() => Err(Bad::Missing(P)),
+            _ => Err(Bad::NoPolarity),
+        }
+    }
+}
+
+/// What is wrong with a row.
+enum Bad {
+    TooLarge(usize),
+    Missing(usize),
+    Between(usize),
+    Outside(i64, i64),
+    NoTime,
+    Negative(i64),
+    NoPolarity,
+    Mixed,
+}
+
+impl Bad {
+    /// Which of t, x, y and p is wrong, the cause that such events are counted by if they may be left out, and
+    /// what a message says.
+    fn told(&self, row: &Row, sensor: Sensor) -> (usize, Option<&'static str>, String) {
+        let value = |which: usize| match row.get(which).copied().flatten() {
+            Some(Number::Whole(value)) => value.to_string(),
+            Some(Number::Float(value)) => value.to_string(),
+            None => "a number above 2^63".to_owned(),
+        };
+        match self {
+            Self::TooLarge(which) => {
+                let cause = match *which {
+                    T => NO_TIME,
+                    P => NO_POLARITY,
+                    _ => OUTSIDE,
+                };
+                (*which, Some(cause), value(*which))
+            }
+            Self::Missing(which) => (
+                *which,
+                Some(MISSING),
+                "a value is missing (NaN or null)".to_owned(),
+            ),
+            Self::Between(which) => (
+                *which,
+                Some(NO_PIXEL),
+                format!("{} is not whole", value(*which)),
+            ),
+            Self::Outside(x, y) => {
+                let Sensor { width, height } = sensor;
+                let what = format!("x = {x}, y = {y} is outside of the sensor ({width}x{height})");
+                (X, Some(OUTSIDE), what)
+            }
+            Self::NoTime => (
+                T,
+                Some(NO_TIME),
+                "the time is no number or above 2^63 us".to_owned(),
+            ),
+            Self::Negative(t_us) => {
+                let what = format!(
+                    "the time is negative, {t_us} us: --time-offset-us N adds to every time"
+                );
+                (T, Some(NO_TIME), what)
+            }
+            Self::NoPolarity => {
+                let what = format!("the polarity {} is not one of 0, 1, -1", value(P));
+                (P, Some(NO_POLARITY), what)
+            }
+            Self::Mixed => (P, None, mixed(true)),
+        }
+    }
+}
+
+/// Message where both 0 and -1 are there.
+fn mixed(has_one: bool) -> String {
+    if has_one {
+        "more than two polarities: -1, 0 and 1. If 0 is no event, as CeleX has it, --leave-out-bad-events leaves \
+         those out; if files of 0 and 1 and of -1 and 1 were merged, write p as 0 and 1 again"
+            .to_owned()
+    } else {
+        "the polarities are 0 and -1, which would both be off: if they are bits with a sign, write p as -p"
+            .to_owned()
+    }
+}
+
+/// Size that holds every event.
+pub struct Extent {
+    width: u16,
+    height: u16,
+    leave_out: bool,
+}
+
+impl Extent {
+    /// Of no event yet; with `leave_out`, those that no sensor is large enough for do not end it.
+    pub fn new(reading: &Reading) -> Self {
+        Self {
+            width: 0,
+            height: 0,
+            leave_out: reading.bad_events == BadEvents::LeaveOut,
+        }
+    }
+
+    /// Takes an event; false where it is damaged, which ends the search.
+    pub fn add(&mut self, x: Option<Number>, y: Option<Number>) -> bool {
+        let (Some(x), Some(y)) = (coordinate(x), coordinate(y)) else {
+            return self.leave_out;
+        };
+        self.width = self.width.max(x + 1);
+        self.height = self.height.max(y + 1);
+        true
+    }
+
+    /// Whether there was none.
+    pub const fn is_empty(&self) -> bool {
+        self.width == 0
+    }
+
+    /// The size.
+    ///
+    /// # Errors
+    /// No event in the file of this name.
+    pub fn sensor(&self, name: &str) -> Result<Sensor> {
+        Sensor::new(self.width, self.height).ok_or_else(|| {
+            error!(
+                Undecided,
+                "{name}: byte 0: no event, so no sensor size: give --width W --height H"
+            )
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(t: i64, p: i64) -> Row {
+        [t, 1, 2, p].map(|value| Some(Number::Whole(value)))
+    }
+
+    fn all(reading: &Reading, times: Times, rows: &[Row]) -> Result<(Vec<u64>, RowEvents), String> {
+        let first = rows.get(..rows.len().min(4)).unwrap_or_default();
+        let mut events = RowEvents::new(reading, times, Base::default(), first)?;
+        events.sensor = Sensor {
+            width: 8,
+            height: 8,
+        };
+        let mut times = Vec::new();
+        for row in rows {
+            if let Some(event) = events.event(row).map_err(|(_, what)| what)? {
+                times.push(event.t_us);
+            }
+        }
+        Ok((times, events))
+    }
+
+    #[test]
+    fn clocks_of_32_bits_go_on() {
+        let times = Times {
+            is_u32: true,
+            ..Times::default()
+        };
+        let most = (1 << 32) - 1;
+        let rows = [most - 1, most, 3, most, 5, 9, 1 << 31, most, 0].map(|t| row(t, 1));
+        let (got, events) = all(&Reading::default(), times, &rows).unwrap();
+        let all = 1_u64 << 32;
+        let last = all - 1;
+        assert_eq!(
+            got,
+            [
+                last - 1,
+                last,
+                all + 3,
+                last,
+                all + 5,
+                all + 9,
+                all + (1 << 31),
+                all + last,
+                2 * all
+            ]
+        );
+        assert!(events.assumptions.iter().any(|taken| taken.what == "clock"));
+        // A clock that begins anew is no wrap.
+        let rows = [1 << 30, 7].map(|t| row(t, 1));
+        let (got, _) = all_of(times, &rows);
+        assert_eq!(got, [1 << 30, 7]);
+    }
+
+    fn all_of(times: Times, rows: &[Row]) -> (Vec<u64>, RowEvents) {
+        all(&Reading::default(), times, rows).unwrap()
+    }
+
+    #[test]
+    fn more_than_two_polarities_are_no_pair() {
+        let of = |reading: &Reading, values: &[i64]| {
+            let rows: Vec<Row> = values.iter().map(|p| row(5, *p)).collect();
+            all(reading, Times::default(), &rows).map(|(events, _)| events.len())
+        };
+        let leave = Reading {
+            bad_events: BadEvents::LeaveOut,
+            ..Reading::default()
+        };
+        for good in [&[0, 1, 0][..], &[-1, 1], &[1, 1], &[-1, -1], &[0, 0]] {
+            assert_eq!(of(&Reading::default(), good), Ok(good.len()));
+        }
+        // In the sample, and behind it.
+        for bad in [
+            &[-1, 0, 1][..],
+            &[0, -1],
+            &[1, 1, 1, 1, 0, 1, -1],
+            &[1, 1, 1, 1, -1, 0],
+        ] {
+            let error = of(&Reading::default(), bad).unwrap_err();
+            assert!(error.contains("polarities"), "{error}");
+        }
+        assert_eq!(of(&leave, &[-1, 0, 1, 0, 1]), Ok(3));
+        assert!(of(&leave, &[-1, 0]).is_err());
+        assert!(of(&leave, &[1, 1, 1, 1, 0, -1]).is_err());
+    }
+
+    #[test]
+    fn bad_events_are_counted_by_cause() {
+        let missing = [Some(Number::Float(f64::NAN)); 4];
+        let with = |which: usize, value: Number| {
+            let mut row = row(5, 1);
+            row[which] = Some(value);
+            row
+        };
+        let rows = [
+            row(5, 1),
+            missing,
+            with(X, Number::Float(f64::NAN)),
+            with(X, Number::Float(1.5)),
+            with(Y, Number::Whole(8)),
+            with(P, Number::Whole(7)),
+            with(T, Number::Whole(-9)),
+            row(6, 0),
+        ];
+        let leave = Reading {
+            bad_events: BadEvents::LeaveOut,
+            ..Reading::default()
+        };
+        let us = Times {
+            scale: Some(Scale::US),
+            ..Times::default()
+        };
+        let (got, events) = all(&leave, us, &rows).unwrap();
+        assert_eq!(got, [5, 6]);
+        let skipped: Vec<(&str, u64)> = events.skipped.iter().collect();
+        let want = [
+            (NO_PIXEL, 1),
+            (NO_POLARITY, 1),
+            (OUTSIDE, 1),
+            (MISSING, 2),
+            (NO_TIME, 1),
+        ];
+        assert_eq!(skipped.len(), want.len());
+        assert!(
+            want.iter().all(|cause| skipped.contains(cause)),
+            "{skipped:?}"
+        );
+        // Each of them alone is an error without the option.
+        for row in &rows[1..7] {
+            let error = all(&Reading::default(), us, &[*row]).err().unwrap();
+            assert!(error.contains("--leave-out-bad-events"), "{error}");
+        }
+        let later = Reading {
+            time_offset_us: 10,
+            ..Reading::default()
+        };
+        assert_eq!(all(&later, us, &[row(-9, 1)]).unwrap().0, [1]);
+    }
+
+    #[test]
+    fn times_are_scaled() {
+        let whole = |scale: Scale, time| scale.us(Number::Whole(time));
+        assert_eq!(whole(Scale::shift(-3), 1_500), Some(2));
+        assert_eq!(whole(Scale::shift(-3), 1_499), Some(1));
+        assert_eq!(whole(Scale::shift(6), 2), Some(2_000_000));
+        assert_eq!(whole(Scale::shift(6), i64::MAX), None);
+        assert_eq!(whole(Scale::new(25, 10), 3), Some(8));
+        assert_eq!(Scale::shift(6).us(Number::Float(0.25)), Some(250_000));
+        assert_eq!(Scale::shift(-3).us(Number::Float(2_600.0)), Some(3));
+        assert_eq!(Scale::US.us(Number::Float(f64::INFINITY)), None);
+    }
+}

@@ -1,0 +1,828 @@
+//! Events as lines of text: `t x y p`, `x y t p`, `t,x,y,on` and the like.
+//!
+//! Rules, in the order in which they are applied:
+//!
+//! 1. Lines end with LF or CRLF; empty lines and lines that begin with `#` or `%` are skipped and
+//!    counted as comments. A byte-order mark is skipped; UTF-16 with one is read, as `utf16.rs` says.
+//! 2. Fields are separated by commas, semicolons, tabs or spaces, any number of them; quotes around a field are
+//!    left out. Decimal commas are refused.
+//! 3. A first line of two whole numbers is the sensor's width and height (the RPG data set).
+//! 4. A line whose fields are not numbers names the columns: t (ts, time, timestamp; `_us`, `(us)`, `[us]` and the
+//!    like name the unit), x, y, p (pol, polarity, on), in any order, other columns and those without a name are
+//!    ignored. `x@320` and `y@240` give the size. A comment of as many names as the first event has fields counts
+//!    as well. The caller's columns, by places or names, count more.
+//! 5. Without names the order is the one of `t x y p`, `x y t p`, `x y p t`, `t p x y`, `p t x y`, `p x y t` that
+//!    fits the first 4,096 lines: see [`Layout::from_numbers`]. Where several fit, the reader asks.
+//! 6. The time's unit is the caller's, or the name's; else it is found as `time_unit.rs` says, and said. Decimals
+//!    are parsed exactly and rounded to the nearest microsecond. The caller's offset is added.
+//! 7. p is 1, true or on, or else 0, -1, false or off; a file that has 0 as well as -1 is refused.
+//! 8. Where neither the file nor the caller knows the size, a first pass over the file finds the
+//!    largest x and y, and the size is these plus one.
+//! 9. A last line without a line break is an event; where it ends with a time, x or y, which may have been cut,
+//!    this is said.
+//! 10. A line that is no event ends the recording with an error, or is left out and counted by its cause.
+//!
+//! Parsing is our own: no CSV crate converts decimals to microseconds without a float.
+
+pub(crate) mod decimal;
+pub mod layout;
+pub(crate) mod utf16;
+pub(crate) mod writer;
+
+use event_types::stream::{ErrorKind, Result};
+use event_types::{Event, Polarity, Sensor};
+
+use crate::format::{Format, Limits, Opening};
+use crate::input::{Batch, Decode, Input, OUTSIDE, ReadSeek, Reader};
+use crate::reading::{Columns, Reading, TimeUnit};
+use crate::table::time_unit;
+use crate::text::decimal::Decimal;
+pub use crate::text::layout::Layout;
+use crate::text::layout::{Found, Header, polarity, times_of};
+use crate::text::utf16::{Utf16, is_utf16};
+use crate::text::writer::TextWriter;
+use crate::{Assumption, BadEvents, Skipped, format};
+
+/// Longest line.
+const LINE_MAX: usize = 4096;
+
+/// Fields kept of a line; a file of more columns is no event file.
+const FIELDS_MAX: usize = 32;
+
+/// Event lines that the layout is found from.
+const SAMPLE_LINES: usize = time_unit::SAMPLE_TIMES;
+
+/// This format in the table of formats.
+pub const FORMAT: Format = Format {
+    name: "text",
+    title: "text t x y p",
+    endings: &[".txt"],
+    detect: is_text,
+    open: |Opening {
+               source,
+               name,
+               reading,
+               ..
+           }| Ok(Box::new(TextReader::new(source, name, reading)?)),
+    has_places: false,
+    is_table: true,
+    grows: true,
+    streams: true,
+    limits: Limits::NONE,
+    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor, ' ')?))),
+};
+
+/// The same with commas and names, which is read as [`FORMAT`].
+pub const CSV_FORMAT: Format = Format {
+    name: "csv",
+    title: "CSV",
+    endings: &[".csv"],
+    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor, ',')?))),
+    ..FORMAT
+};
+
+/// Whether a file may be lines of events: its first line is text without control characters but
+/// separators. What follows may be damaged, which the reader reports after the events before it.
+fn is_text(start: &format::Start) -> bool {
+    if let Some(header) = &start.header
+        && header
+            .words
+            .as_ref()
+            .err()
+            .is_none_or(|other| !other.is_empty())
+    {
+        // Words that no reader knows.
+        return false;
+    }
+    if is_utf16(start.bytes) {
+        return true;
+    }
+    let first = start.bytes.split(|byte| *byte == b'\n').next();
+    let first = first.unwrap_or_default();
+    let control = |byte: &u8| byte.is_ascii_control() && !b"\t\r".contains(byte);
+    let is_other_aedat = start.begins(b"#!AER-DAT");
+    std::str::from_utf8(first).is_ok() && !first.iter().any(control) && !is_other_aedat
+}
+
+/// Reader of text files.
+pub type TextReader = Reader<TextDecoder>;
+
+impl TextReader {
+    /// Reads `source`, which messages call `name`; the size of `reading` counts where the file names no size.
+    ///
+    /// # Errors
+    /// Columns or a unit that cannot be told, a damaged first line, no size and no event.
+    pub fn new(source: Box<dyn ReadSeek>, name: &str, reading: impl Into<Reading>) -> Result<Self> {
+        let reading = reading.into();
+        let mut input = Input::new(source, name)?;
+        let mut mark = [0; 4];
+        input.fill(&mut mark)?;
+        input.seek(0)?;
+        if is_utf16(&mark) {
+            let [first, ..] = mark;
+            input = Input::new(Box::new(Utf16::new(input.into_source(), first)), name)?;
+        }
+        let mut lines = Lines::new(input);
+        let start = Start::read(&mut lines, &reading)?;
+        let stated = match start.size {
+            Some((width, height)) => {
+                let side = |side| u16::try_from(side).unwrap_or(0);
+                let sensor = Sensor::new(side(width), side(height));
+                Some(sensor.ok_or_else(|| {
+                    lines.error(format!("sensor size {width}x{height} is out of range"))
+                })?)
+            }
+            None => reading.size,
+        };
+        let fields: Vec<Vec<&[u8]>> = start.sample.iter().map(|line| split(line)).collect();
+        let wrong = |what: String| {
+            let what = format!("line {}: {what}", start.data_line);
+            lines
+                .input
+                .error_at(start.data, what)
+                .of_kind(ErrorKind::Undecided)
+        };
+        let Found { layout, why } = match &start.layout {
+            Some(layout) => Found {
+                layout: layout.clone(),
+                why: None,
+            },
+            None => Layout::from_numbers(&fields, stated).map_err(|what| wrong(what.to_owned()))?,
+        };
+        let mut assumptions = Vec::new();
+        if let Some(why) = why {
+            assumptions.push(Assumption {
+                what: "columns",
+                taken: layout.title(),
+                why: format!("{why}; --columns says otherwise"),
+            });
+        }
+        let (times, whole) = times_of(&fields, layout.t);
+        let mut has_whole_times = false;
+        let unit = match reading.time_unit.or(layout.unit) {
+            Some(unit) => unit,
+            None => {
+                let taken = time_unit::unstated(&times, whole).map_err(wrong)?;
+                has_whole_times = whole && taken.unit == TimeUnit::Us;
+                if !times.is_empty() {
+                    assumptions.push(Assumption {
+                        what: "time unit",
+                        taken: taken.unit.name().to_owned(),
+                        why: taken.why,
+                    });
+                }
+                taken.unit
+            }
+        };
+        let polarities = Polarities::of(&fields, layout.p);
+        lines.restart(&start)?;
+        let mut decoder = TextDecoder {
+            lines,
+            layout,
+            unit,
+            has_whole_times,
+            offset_us: reading.time_offset_us,
+            leaves_out: reading.bad_events == BadEvents::LeaveOut,
+            polarities,
+            is_rounded: false,
+            is_cut_noted: false,
+            assumptions,
+            sensor: LARGEST,
+            events: 0,
+            skipped: start.skipped.clone(),
+        };
+        decoder.sensor = match stated {
+            Some(sensor) => sensor,
+            None => {
+                let sensor = decoder.largest()?;
+                decoder.skipped = start.skipped.clone();
+                decoder.polarities = polarities;
+                decoder.lines.restart(&start)?;
+                decoder.assumptions.push(Assumption::size_taken(sensor));
+                sensor
+            }
+        };
+        Ok(Self::around(decoder))
+    }
+}
+
+/// Which values of OFF a file has.
+#[derive(Debug, Clone, Copy, Default)]
+struct Polarities {
+    zero: bool,
+    minus: bool,
+    /// Whether the first lines have 0 beside 1 and -1: no change, in CeleX's files.
+    third: bool,
+}
+
+impl Polarities {
+    fn of(lines: &[Vec<&[u8]>], column: usize) -> Self {
+        let has = |value: &[u8]| {
+            let mut fields = lines.iter().filter_map(|line| line.get(column));
+            fields.any(|field| *field == value)
+        };
+        Self {
+            third: has(b"0") && has(b"-1"),
+            ..Self::default()
+        }
+    }
+
+    /// Takes the polarity of an event; whether it is one of two.
+    fn takes(&mut self, field: &[u8]) -> bool {
+        match field {
+            b"0" if self.third => return false,
+            b"0" => self.zero = true,
+            b"-1" => self.minus = true,
+            _ => {}
+        }
+        !(self.zero && self.minus)
+    }
+}
+
+const LARGEST: Sensor = Sensor {
+    width: Sensor::SIDE_MAX,
+    height: Sensor::SIDE_MAX,
+};
+
+/// Lines with their numbers.
+struct Lines {
+    input: Input,
+    line: Vec<u8>,
+    /// Number of the present line, from 1, and its offset.
+    number: u64,
+    offset: u64,
+    /// Whether the present line has a line break.
+    is_ended: bool,
+}
+
+impl Lines {
+    fn new(input: Input) -> Self {
+        Self {
+            input,
+            line: Vec::with_capacity(LINE_MAX),
+            number: 0,
+            offset: 0,
+            is_ended: true,
+        }
+    }
+
+    /// Moves to the next line; `false` at the end.
+    fn advance(&mut self) -> Result<bool> {
+        self.line.clear();
+        self.offset = self.input.offset();
+        let read = self.input.line(&mut self.line, LINE_MAX)?;
+        self.number += 1;
+        self.is_ended = self.line.last() == Some(&b'\n');
+        if read == LINE_MAX && self.line.last() != Some(&b'\n') {
+            return Err(self.error("the line is longer than 4096 bytes: no event text"));
+        }
+        if self.number == 1 && self.line.starts_with(b"\xef\xbb\xbf") {
+            self.line.drain(..3);
+        }
+        while self.line.last().is_some_and(u8::is_ascii_whitespace) {
+            self.line.pop();
+        }
+        Ok(read > 0)
+    }
+
+    /// Whether the present line holds no event.
+    fn is_comment(&self) -> bool {
+        let first = self.line.iter().find(|byte| !byte.is_ascii_whitespace());
+        matches!(first, None | Some(b'#' | b'%'))
+    }
+
+    fn error(&self, what: impl std::fmt::Display) -> event_types::stream::Error {
+        self.input
+            .error_at(self.offset, format!("line {}: {what}", self.number))
+    }
+
+    fn restart(&mut self, start: &Start) -> Result<()> {
+        self.input.seek(start.data)?;
+        self.number = start.data_line - 1;
+        Ok(())
+    }
+}
+
+/// What the start of a file tells.
+struct Start {
+    size: Option<(u64, u64)>,
+    /// From names of columns, or from the caller.
+    layout: Option<Layout>,
+    /// The first event lines.
+    sample: Vec<Vec<u8>>,
+    /// Offset and number of the first event line.
+    data: u64,
+    data_line: u64,
+    skipped: Skipped,
+}
+
+impl Start {
+    fn read(lines: &mut Lines, reading: &Reading) -> Result<Self> {
+        let columns = reading.columns.as_ref();
+        let mut start = Self {
+            size: None,
+            layout: columns.and_then(Layout::of_places),
+            sample: Vec::new(),
+            data: 0,
+            data_line: 1,
+            skipped: Skipped::default(),
+        };
+        let parse = |fields: &[&[u8]]| match columns {
+            Some(Columns::Names(names)) => Header::of_names(fields, names),
+            _ => Header::parse(fields),
+        };
+        let mut comment: Option<Header> = None;
+        let mut has_names = false;
+        while start.sample.len() < SAMPLE_LINES {
+            match lines.advance() {
+                Ok(true) => {}
+                Ok(false) => break,
+                // The reader will meet it again, after the events before it.
+                Err(_) if !start.sample.is_empty() => break,
+                Err(error) => return Err(error),
+            }
+            let is_before = start.sample.is_empty();
+            if lines.is_comment() {
+                if is_before {
+                    let text = lines.line.trim_ascii_start().get(1..).unwrap_or_default();
+                    comment = comment.or_else(|| parse(&names(text)));
+                    start
+                        .skipped
+                        .add("comment lines", u64::from(!lines.line.is_empty()));
+                }
+                continue;
+            }
+            if is_before {
+                let fields = split(&lines.line);
+                let numbers: Vec<_> = fields.iter().map(|field| Decimal::parse(field)).collect();
+                // Below names of columns two numbers are an event of which some is missing.
+                if let ([Some(width), Some(height)], None) = (numbers.as_slice(), start.size)
+                    && !has_names
+                    && comment.is_none()
+                {
+                    start.size = width.whole().zip(height.whole());
+                    if start.size.is_some() {
+                        continue;
+                    }
+                }
+                if numbers.iter().all(Option::is_none) && !has_names {
+                    has_names = true;
+                    if let Some(header) = parse(&names(&lines.line)) {
+                        start.take(&header);
+                    } else if start.layout.is_none() {
+                        return Err(lines.error(match columns {
+                            Some(_) => "these are not the column names of --columns",
+                            None => {
+                                "no events and no column names t, x, y, p: name the columns by --columns"
+                            }
+                        }).of_kind(ErrorKind::Undecided));
+                    }
+                    continue;
+                }
+                if fields.iter().take(2).any(|field| field.contains(&b':')) {
+                    let what = "a date or a time of day: write times as numbers, such as seconds since 1970";
+                    return Err(lines.error(what));
+                }
+                if has_decimal_comma(&lines.line) {
+                    let what =
+                        "a comma within a field, as of numbers with a decimal comma: write points";
+                    return Err(lines.error(what));
+                }
+                // Words of a comment may happen to be names.
+                if let Some(header) = &comment
+                    && header.layout().columns == fields.len()
+                {
+                    start.take(header);
+                }
+                if start.layout.is_none() && matches!(columns, Some(Columns::Names(_))) {
+                    return Err(lines
+                        .error("no line before has the column names of --columns")
+                        .of_kind(ErrorKind::Undecided));
+                }
+                (start.data, start.data_line) = (lines.offset, lines.number);
+            }
+            start.sample.push(lines.line.clone());
+        }
+        if start.sample.is_empty() {
+            (start.data, start.data_line) = (lines.input.offset(), lines.number);
+            if let Some(header) = &comment {
+                start.take(header);
+            }
+        }
+        Ok(start)
+    }
+
+    /// Takes what column names tell that is not known yet.
+    fn take(&mut self, header: &Header) {
+        self.layout = self.layout.take().or_else(|| Some(header.layout().clone()));
+        self.size = self.size.or(header.sensor);
+    }
+}
+
+const fn is_separator(byte: u8) -> bool {
+    matches!(byte, b' ' | b'\t' | b',' | b';')
+}
+
+/// A field without the quotes around it.
+fn unquoted(field: &[u8]) -> &[u8] {
+    match field {
+        [b'"', inner @ .., b'"'] => inner,
+        field => field,
+    }
+}
+
+/// Fields of a line.
+fn split(line: &[u8]) -> Vec<&[u8]> {
+    line.split(|byte| is_separator(*byte))
+        .filter(|field| !field.is_empty())
+        .take(FIELDS_MAX)
+        .map(unquoted)
+        .collect()
+}
+
+/// Column names of a line; between commas, semicolons or tabs one may be empty, or of several words.
+fn names(line: &[u8]) -> Vec<&[u8]> {
+    let separator = [b',', b';', b'\t']
+        .into_iter()
+        .find(|byte| line.contains(byte));
+    match separator {
+        Some(separator) => {
+            let names = line.split(|byte| *byte == separator);
+            names.take(FIELDS_MAX).collect()
+        }
+        None => split(line),
+    }
+}
+
+/// Whether a comma stands between two digits in a line of another separator.
+fn has_decimal_comma(line: &[u8]) -> bool {
+    let is_decimal = line.windows(3).any(|letters| {
+        matches!(letters, [before, b',', after] if before.is_ascii_digit() && after.is_ascii_digit())
+    });
+    // A space beside a comma only pads.
+    let separates = |letters: &[u8]| matches!(letters, [before, b' ', after] if !is_separator(*before) && !is_separator(*after));
+    let others = line.contains(&b';') || line.contains(&b'\t') || line.windows(3).any(separates);
+    is_decimal && others
+}
+
+/// State between two lines.
+pub struct TextDecoder {
+    lines: Lines,
+    layout: Layout,
+    unit: TimeUnit,
+    /// Whether the unit rests on times without a fraction.
+    has_whole_times: bool,
+    offset_us: i64,
+    leaves_out: bool,
+    polarities: Polarities,
+    /// Whether a time was rounded, which was said.
+    is_rounded: bool,
+    /// Whether the last line has no line break, which was said.
+    is_cut_noted: bool,
+    assumptions: Vec<Assumption>,
+    sensor: Sensor,
+    events: u64,
+    skipped: Skipped,
+}
+
+/// Why a line is no event: what it is counted as, and what is said.
+enum Bad {
+    Fields(usize),
+    NoTime,
+    Fraction,
+    TimeRange,
+    NoPixel,
+    NoPolarity,
+    ThirdPolarity,
+    Outside(u64, u64),
+}
+
+impl Bad {
+    const fn kind(&self) -> &'static str {
+        match self {
+            Self::Fields(_) => "lines of another number of fields",
+            Self::NoTime | Self::NoPixel => "events with a value that is no number",
+            Self::Fraction => "events with a time of another unit",
+            Self::TimeRange => "events before time 0",
+            Self::NoPolarity => "events of no polarity",
+            Self::ThirdPolarity => "events of a third polarity",
+            Self::Outside(..) => OUTSIDE,
+        }
+    }
+}
+
+impl TextDecoder {
+    /// Size that holds every event from here to the end.
+    fn largest(&mut self) -> Result<Sensor> {
+        let (mut width, mut height) = (0, 0);
+        // Damage after the first event is for the reader, which returns the events before it.
+        while let Ok(Some(event)) = self.next_event() {
+            width = width.max(event.x + 1);
+            height = height.max(event.y + 1);
+        }
+        if width == 0 && !self.lines.line.is_empty() {
+            // Its first line is no event.
+            self.parse().map_err(|bad| self.refusal(&bad))?;
+        }
+        self.events = 0;
+        Sensor::new(width, height).ok_or_else(|| {
+            self.lines
+                .error("no event, so no sensor size: give --width W --height H")
+                .of_kind(ErrorKind::Undecided)
+        })
+    }
+
+    fn next_event(&mut self) -> Result<Option<Event>> {
+        loop {
+            if !self.lines.advance()? {
+                return Ok(None);
+            }
+            if self.lines.is_comment() {
+                self.skipped
+                    .add("comment lines", u64::from(!self.lines.line.is_empty()));
+                continue;
+            }
+            let event = self.parse();
+            match event {
+                Ok(event) => {
+                    self.events += 1;
+                    self.note_cut();
+                    return Ok(Some(event));
+                }
+                Err(bad) if self.leaves_out => {
+                    self.events += 1;
+                    self.skipped.add(bad.kind(), 1);
+                }
+                Err(bad) => return Err(self.refusal(&bad)),
+            }
+        }
+    }
+
+    /// Says that the present line may be cut off within a number that is another then: a polarity is not.
+    fn note_cut(&mut self) {
+        let Layout {
+            columns, t, x, y, ..
+        } = self.layout;
+        let is_number = [t, x, y].contains(&(columns - 1));
+        if is_number && !self.lines.is_ended && !self.is_cut_noted {
+            self.is_cut_noted = true;
+            self.assumptions.push(Assumption::last_line_whole());
+        }
+    }
+
+    /// What is wrong with the present line.
+    fn refusal(&self, bad: &Bad) -> event_types::stream::Error {
+        let what = match bad {
+            Bad::Fields(count) => format!("{count} fields instead of {}", self.layout.columns),
+            Bad::NoTime => "the time is no number".to_owned(),
+            Bad::Fraction => "a time with a fraction after whole microseconds: give --time-unit, or name the column \
+                              t_s or t_us"
+                .to_owned(),
+            Bad::TimeRange => {
+                "the time is negative or above 2^63 us: see --time-offset-us".to_owned()
+            }
+            Bad::NoPixel => "x and y must be whole numbers that are not negative".to_owned(),
+            Bad::NoPolarity => "the polarity is not one of 0, 1, -1, true, false".to_owned(),
+            Bad::ThirdPolarity => {
+                "the polarities are 0 as well as -1: more than two; --leave-out-bad-events leaves the third out"
+                    .to_owned()
+            }
+            Bad::Outside(x, y) => {
+                let Sensor { width, height } = self.sensor;
+                format!("x = {x}, y = {y} is outside of the sensor ({width}x{height})")
+            }
+        };
+        self.lines.error(format!("event {}: {what}", self.events))
+    }
+
+    fn parse(&mut self) -> Result<Event, Bad> {
+        let line = self.lines.line.as_slice();
+        let mut fields = [&line[..0]; FIELDS_MAX];
+        let mut count = 0;
+        let parts = line.split(|byte| is_separator(*byte));
+        for field in parts.filter(|field| !field.is_empty()) {
+            match fields.get_mut(count) {
+                Some(slot) => *slot = field,
+                None => break,
+            }
+            count += 1;
+        }
+        let Layout {
+            columns,
+            t,
+            x,
+            y,
+            p,
+            ..
+        } = self.layout;
+        if count != columns {
+            return Err(Bad::Fields(count));
+        }
+        let field = |column: usize| unquoted(fields.get(column).copied().unwrap_or_default());
+        let (t, p) = (field(t), field(p));
+        let time = Decimal::parse(t).ok_or(Bad::NoTime)?;
+        if self.has_whole_times && !time.is_whole() {
+            return Err(Bad::Fraction);
+        }
+        let t_us = time
+            .signed(self.unit.shift())
+            .ok()
+            .and_then(|t_us| t_us.checked_add(self.offset_us))
+            .and_then(|t_us| u64::try_from(t_us).ok())
+            .ok_or(Bad::TimeRange)?;
+        if !self.is_rounded && !time.is_whole_at(self.unit.shift()) {
+            self.is_rounded = true;
+            self.assumptions
+                .push(Assumption::times_rounded("to the nearest"));
+        }
+        let side = |field: &[u8]| Decimal::parse(field).and_then(Decimal::whole);
+        let (Some(x), Some(y)) = (side(field(x)), side(field(y))) else {
+            return Err(Bad::NoPixel);
+        };
+        let on = polarity(p).ok_or(Bad::NoPolarity)?;
+        if !self.polarities.takes(p) {
+            return Err(Bad::ThirdPolarity);
+        }
+        match (u16::try_from(x), u16::try_from(y)) {
+            (Ok(x), Ok(y)) if self.sensor.contains(x, y) => Ok(Event {
+                t_us,
+                x,
+                y,
+                polarity: Polarity::from_bool(on),
+            }),
+            _ => Err(Bad::Outside(x, y)),
+        }
+    }
+}
+
+impl Decode for TextDecoder {
+    fn format(&self) -> &'static str {
+        "text"
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.sensor
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        &self.assumptions
+    }
+
+    fn skipped(&self) -> &Skipped {
+        &self.skipped
+    }
+
+    fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
+        while batch.room() > 0 {
+            let Some(event) = self.next_event()? else {
+                break;
+            };
+            batch.push(event);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+    use crate::EventReader;
+
+    fn read(text: &str) -> Result<(Sensor, Vec<Event>), String> {
+        let source = Box::new(Cursor::new(text.as_bytes().to_vec()));
+        let mut reader = TextReader::new(source, "test", None).map_err(|e| e.to_string())?;
+        let mut events = Vec::new();
+        while reader.read(&mut events).map_err(|e| e.to_string())? > 0 {}
+        Ok((reader.sensor(), events))
+    }
+
+    #[test]
+    fn a_last_line_that_may_be_cut_is_noted() {
+        let notes = |text: &str| {
+            let source = Box::new(Cursor::new(text.as_bytes().to_vec()));
+            let mut reader = TextReader::new(source, "test", None).unwrap();
+            while reader.read(&mut Vec::new()).unwrap() > 0 {}
+            let notes = reader.assumptions().iter();
+            notes.filter(|note| note.what == "last line").count()
+        };
+        for (text, want) in [
+            ("x,y,p,t\n1,2,1,1500\n1,2,0,15", 1),
+            ("x,y,p,t\n1,2,1,1500\n1,2,0,15\n", 0),
+            ("x,y,p,t\n1,2,1,1500\n1,2,0,15\n# end", 0),
+            ("t,x,y,p\n1500,1,2,1\n1501,1,2,0", 0),
+            ("240 180\n1500 100 2 1\n1501 101 2 0", 0),
+            ("p,t,x,y\n1,1500,1,20\n1,1501,1,2", 1),
+        ] {
+            assert_eq!(notes(text), want, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn the_same_two_events_in_many_layouts() {
+        let event = |t_us, x, y, on| Event {
+            t_us,
+            x,
+            y,
+            polarity: Polarity::from_bool(on),
+        };
+        let want = [
+            event(1_500_000, 218, 15, true),
+            event(1_500_003, 9, 76, false),
+        ];
+        let sized = Sensor {
+            width: 240,
+            height: 180,
+        };
+        let found = Sensor {
+            width: 219,
+            height: 77,
+        };
+        let cases = [
+            ("1.500000000 218 15 1\n1.500003000 9 76 0\n", found),
+            ("1500000 218 15 1\n1500003 9 76 0", found),
+            ("1500000,218,15,1\r\n1500003,9,76,-1\r\n", found),
+            ("t;x;y;p\n1500000;218;15;1\n1500003;9;76;0\n", found),
+            (
+                "x y p timestamp\n218\t15\tTrue\t1500000\n9\t76\tFalse\t1500003\n",
+                found,
+            ),
+            ("218 15 1.5 1\n9 76 1.500003 0\n", found),
+            ("218 15 1 1500000\n9 76 0 1500003\n", found),
+            ("1500000 1 218 15\n1500003 0 9 76\n", found),
+            ("240 180\n1.5 218 15 1\n1.5000029999 9 76 0\n", sized),
+            (
+                "t,x@240,y@180,on\n1500000,218,15,1\n1500003,9,76,0\n",
+                sized,
+            ),
+            (
+                "# t x y p\n1500000 218 15 1\n\n# half\n1500003 9 76 0\n",
+                found,
+            ),
+            (
+                "id,t_ms,x,y,pol\n1,1500,218,15,on\n2,1500.003,9,76,off\n",
+                found,
+            ),
+            (
+                "t_ns,x,y,p\n1500000400,218,15,1\n1500002500,9,76,0\n",
+                found,
+            ),
+            (
+                "t,x,y,p\n1500000.0,218.0,15.0,1.0\n1.5000030e6,9.0,76.0,0.0\n",
+                found,
+            ),
+            ("\u{feff}t,x,y,p\n1.5,218,15,1\n1.500003,9,76,0\n", found),
+        ];
+        for (text, sensor) in cases {
+            // Two whole decimals are seconds: this one needs its unit.
+            let text = text.replacen("t,x,y,p\n1500000.0", "t_us,x,y,p\n1500000.0", 1);
+            assert_eq!(read(&text), Ok((sensor, want.to_vec())), "{text}");
+        }
+    }
+
+    #[test]
+    fn errors_name_line_and_event() {
+        let cases = [
+            (
+                "t,x,y,p\n1,2,3,1\n-4,2,3,1\n",
+                "line 3: event 1: the time is negative",
+            ),
+            (
+                "t,x,y,p\n1,2,3,1\n4,2,3\n",
+                "line 3: event 1: 3 fields instead of 4",
+            ),
+            (
+                "t,x,y,p\n1,2,3,1\n4,2,3,5\n",
+                "line 3: event 1: the polarity",
+            ),
+            ("t,x,y,p\n1,2,3,1\n4,2,-3,1\n", "line 3: event 1: x and y"),
+            (
+                "4 4\n# t x y p\n1 2 3 1\n2 4 0 1\n",
+                "line 4: event 1: x = 4, y = 0 is outside",
+            ),
+            (
+                "t,x,y,p\n1,2,3,1\n1,2,3,1\n1.5,2,3,1\n",
+                "line 4: event 2: a time with a fraction",
+            ),
+            ("9 2 3 4\n5 6 7 8\n", "the order of the columns is unclear"),
+            ("hello world\n", "no events and no column names"),
+            ("t,x,y,p\n", "no event, so no sensor size"),
+        ];
+        for (text, want) in cases {
+            let error = read(text).expect_err(text);
+            assert!(error.contains(want) && error.contains("byte "), "{error}");
+        }
+    }
+
+    #[test]
+    fn rising_times_tell_the_order() {
+        let lines = |order: fn(u32) -> String| (0..40).map(order).collect::<String>();
+        // Every column is below 2048, so only the times tell.
+        let xytp = lines(|i| format!("{} {} {} {}\n", i * 37 % 300, i * 91 % 200, i * 9, i % 2));
+        let (_, events) = read(&xytp).expect("events");
+        assert_eq!((events[1].t_us, events[1].x, events[1].y), (9, 37, 91));
+        let txyp = lines(|i| format!("{} {} {} {}\n", i * 9, i * 37 % 300, i * 91 % 200, i % 2));
+        assert_eq!(read(&txyp).expect("events").1, events);
+    }
+}

@@ -1,0 +1,97 @@
+//! Writer of text files.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+use event_types::stream::{Context, Result};
+use event_types::{Event, Sensor, ensure};
+
+use crate::{EventWriter, create_file};
+
+/// Writer of text files: `.csv` with the header `t,x,y,p` and commas, `.txt` with spaces and no
+/// header; times in whole microseconds, p 0 or 1. The sensor's size is not written.
+///
+/// Where the first event's numbers leave it open which of them is the time, `.txt` begins with the comment
+/// `# t x y p`. A recording without events has names that tell the size: `t,x@346,y@260,p`.
+pub struct TextWriter {
+    file: BufWriter<File>,
+    name: String,
+    sensor: Sensor,
+    separator: char,
+    events: u64,
+}
+
+impl TextWriter {
+    /// Creates the file; `separator` is a comma or a space.
+    ///
+    /// # Errors
+    /// I/O.
+    pub(crate) fn create(path: &Path, sensor: Sensor, separator: char) -> Result<Self> {
+        let (file, name) = create_file(path)?;
+        Ok(Self {
+            file,
+            name,
+            sensor,
+            separator,
+            events: 0,
+        })
+    }
+}
+
+impl TextWriter {
+    /// Writes what stands before the first event, or before the end where there is none.
+    fn begin(&mut self, first: Option<&Event>) -> Result<()> {
+        let Sensor { width, height } = self.sensor;
+        let names = match (first, self.separator) {
+            (None, ',') => format!("t,x@{width},y@{height},p\n"),
+            (None, _) => format!("# t x@{width} y@{height} p\n"),
+            (Some(_), ',') => "t,x,y,p\n".to_owned(),
+            // A time below the largest side may be a column, a column below 2 a polarity.
+            (Some(first), _) if first.t_us < u64::from(Sensor::SIDE_MAX) || first.x < 2 => {
+                "# t x y p\n".to_owned()
+            }
+            _ => String::new(),
+        };
+        self.file
+            .write_all(names.as_bytes())
+            .with_context(|| format!("{}: cannot be written", self.name))
+    }
+}
+
+impl EventWriter for TextWriter {
+    fn write(&mut self, events: &[Event]) -> Result<()> {
+        let s = self.separator;
+        if self.events == 0 && !events.is_empty() {
+            self.begin(events.first())?;
+        }
+        for event in events {
+            crate::check_inside(&self.name, self.events, event, self.sensor)?;
+            let Event {
+                t_us,
+                x,
+                y,
+                polarity,
+            } = event;
+            let (name, index) = (&self.name, self.events);
+            ensure!(
+                i64::try_from(*t_us).is_ok(),
+                CannotHold,
+                "{name}: event {index}: time {t_us} us is above 2^63 us"
+            );
+            writeln!(self.file, "{t_us}{s}{x}{s}{y}{s}{}", *polarity as u8)
+                .with_context(|| format!("{name}: cannot be written"))?;
+            self.events += 1;
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<()> {
+        if self.events == 0 {
+            self.begin(None)?;
+        }
+        self.file
+            .flush()
+            .with_context(|| format!("{}: cannot be written", self.name))
+    }
+}

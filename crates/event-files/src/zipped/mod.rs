@@ -1,0 +1,4 @@
+//! Zip files.
+
+pub(crate) mod entry;
+pub(crate) mod recording;

@@ -1,0 +1,17 @@
+//! Readers and writers, as their users have them: one module for each kind of question.
+
+mod cases_streams;
+mod damage;
+mod errors;
+mod evt_words;
+mod hdf5;
+mod hdf5_writer;
+mod headers;
+mod layouts;
+mod mat;
+mod npz;
+mod reference;
+mod roundtrip;
+mod support;
+mod tables;
+mod writers;

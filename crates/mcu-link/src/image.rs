@@ -1,0 +1,175 @@
+//! The firmware image: how it is built, and its sizes.
+
+use std::io::{IsTerminal, stderr};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+use object::read::elf::ElfFile32;
+use object::{Object, ObjectSection, SectionFlags, elf};
+
+use super::qemu::Machine;
+
+/// The firmware beside these sources.
+const FIRMWARE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../firmware");
+
+/// Builds an image for a machine, by the name of its program, and returns its path.
+///
+/// # Errors
+/// No sources of the firmware, or a build that fails: what it said is on stderr.
+pub fn build(machine: Machine, program: &str) -> Result<PathBuf> {
+    let scripts = [FIRMWARE, "firmware"].map(|folder| Path::new(folder).join("build.sh"));
+    let Some(script) = scripts.iter().find(|script| script.is_file()) else {
+        bail!(
+            "no sources of the firmware in {FIRMWARE} or ./firmware: run this in the project's folder"
+        );
+    };
+    let name = script.display();
+    let watched = stderr().is_terminal();
+    let output = Command::new(script)
+        .args([machine.name(), program])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(if watched {
+            Stdio::inherit()
+        } else {
+            Stdio::piped()
+        })
+        .output()
+        .with_context(|| format!("{name}: cannot be run"))?;
+    if !output.status.success() {
+        eprint!("{}", String::from_utf8_lossy(&output.stderr));
+        bail!(
+            "{name} {} {program}: failed ({})",
+            machine.name(),
+            output.status
+        );
+    }
+    let said = String::from_utf8_lossy(&output.stdout);
+    let folder = said.lines().last().unwrap_or_default();
+    let image = Path::new(folder).join(program);
+    if !image.is_file() {
+        bail!("{}: {name} has not built it", image.display());
+    }
+    Ok(image)
+}
+
+/// What an image takes of a microcontroller's memories.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ImageSizes {
+    /// Code, constants, and the initial values of variables.
+    pub flash_bytes: u64,
+    /// Static variables; the stack is not among them.
+    pub ram_bytes: u64,
+}
+
+impl ImageSizes {
+    /// The sizes of an ELF file's sections: those with contents that are loaded take flash, those
+    /// that are written to take RAM.
+    ///
+    /// # Errors
+    /// No 32-bit ELF file.
+    pub fn of(image: &[u8]) -> Result<Self> {
+        let file: ElfFile32 = ElfFile32::parse(image).context("no 32-bit ELF image")?;
+        let mut sizes = Self::default();
+        for section in file.sections() {
+            let SectionFlags::Elf {
+                sh_type, sh_flags, ..
+            } = section.flags()
+            else {
+                continue;
+            };
+            let has = |flag: elf::SectionFlags| sh_flags & flag == flag;
+            // Also leaves out defmt's strings, which stay with the host.
+            if !has(elf::SHF_ALLOC) {
+                continue;
+            }
+            if sh_type != elf::SHT_NOBITS {
+                sizes.flash_bytes += section.size();
+            }
+            if has(elf::SHF_WRITE) {
+                sizes.ram_bytes += section.size();
+            }
+        }
+        Ok(sizes)
+    }
+
+    /// As [`ImageSizes::of`], from a file.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is no 32-bit ELF file.
+    pub fn read(path: &Path) -> Result<Self> {
+        let name = path.display();
+        let image = std::fs::read(path).with_context(|| format!("{name}: cannot be read"))?;
+        Self::of(&image).with_context(|| format!("{name}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An ELF file of sections: type, flags and size; all without contents of their own.
+    fn elf_file(sections: &[(elf::SectionType, elf::SectionFlags, u32)]) -> Vec<u8> {
+        const HEADER: u32 = 52;
+        let mut file = b"\x7FELF\x01\x01\x01".to_vec();
+        file.resize(16, 0);
+        let largest = sections.iter().map(|(_, _, size)| *size).fold(4, u32::max);
+        let halves = |file: &mut Vec<u8>, halves: &[u16]| {
+            file.extend(halves.iter().flat_map(|half| half.to_le_bytes()));
+        };
+        let words = |file: &mut Vec<u8>, words: &[u32]| {
+            file.extend(words.iter().flat_map(|word| word.to_le_bytes()));
+        };
+        // Executable, ARM; the sections' headers after as many bytes as any section has.
+        halves(&mut file, &[elf::ET_EXEC.0, elf::EM_ARM.0]);
+        words(&mut file, &[1, 0, 0, HEADER + largest, 0]);
+        let names = sections.len() as u16 + 1;
+        halves(&mut file, &[HEADER as u16, 0, 0, 40, names + 1, names]);
+        file.resize((HEADER + largest + 40) as usize, 0);
+        let names = (elf::SHT_STRTAB, elf::SectionFlags(0), 1);
+        for (kind, flags, size) in sections.iter().chain([&names]) {
+            words(
+                &mut file,
+                &[0, kind.0, flags.0 as u32, 0, HEADER, *size, 0, 0, 4, 0],
+            );
+        }
+        file
+    }
+
+    #[test]
+    fn sections_are_counted_where_they_lie() {
+        use elf::{SHF_ALLOC, SHF_EXECINSTR, SHF_WRITE, SHT_NOBITS, SHT_PROGBITS};
+        let file = elf_file(&[
+            (SHT_PROGBITS, SHF_ALLOC, 392),
+            (SHT_PROGBITS, SHF_ALLOC | SHF_EXECINSTR, 5000),
+            (SHT_PROGBITS, SHF_ALLOC | SHF_WRITE, 70),
+            (SHT_NOBITS, SHF_ALLOC | SHF_WRITE, 100_000),
+            // The strings of defmt, debug information.
+            (SHT_PROGBITS, elf::SectionFlags(0), 900),
+        ]);
+        let sizes = ImageSizes {
+            flash_bytes: 392 + 5000 + 70,
+            ram_bytes: 70 + 100_000,
+        };
+        assert_eq!(ImageSizes::of(&file).unwrap(), sizes);
+        assert_eq!(
+            ImageSizes::of(&elf_file(&[])).unwrap(),
+            ImageSizes::default()
+        );
+    }
+
+    #[test]
+    fn damaged_images_are_refused_or_counted() {
+        let file = elf_file(&[(elf::SHT_PROGBITS, elf::SHF_ALLOC, 30)]);
+        assert!(ImageSizes::of(b"").is_err());
+        for end in 0..file.len() {
+            let _ = ImageSizes::of(&file[..end]);
+            for bit in 0..8 {
+                let mut file = file.clone();
+                file[end] ^= 1 << bit;
+                let _ = ImageSizes::of(&file);
+            }
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! What a decoder's events must have in common with the original's, before any of them is measured.
+
+use anyhow::{Result, ensure};
+use eecvs_nostd::{Event, Polarity};
+
+/// Place and polarity, then time.
+type Key = (u16, u16, Polarity, u64);
+
+/// What a decoder promises.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Promise {
+    /// The same multiset of events.
+    Lossless,
+    /// Events of the same places and polarities, each no further than this from its time, in us.
+    Within(u64),
+    /// As many events of each place and polarity.
+    Counts,
+}
+
+/// Holds the decoded events against the promise.
+///
+/// # Errors
+/// A promise that is not kept; the message says which and by how much.
+pub fn check(promise: Promise, original: &[Event], decoded: &[Event]) -> Result<()> {
+    ensure!(
+        original.len() == decoded.len(),
+        "{} events came back of {}; please report this",
+        decoded.len(),
+        original.len()
+    );
+    let (original, decoded) = (keys(original), keys(decoded));
+    for (a, b) in original.iter().zip(&decoded) {
+        let place = |key: &Key| (key.0, key.1, key.2);
+        ensure!(
+            place(a) == place(b),
+            "at (x, y) = ({}, {}) other events came back; please report this",
+            a.1,
+            a.0
+        );
+        let most = match promise {
+            Promise::Lossless => 0,
+            Promise::Within(tolerance_us) => tolerance_us,
+            Promise::Counts => u64::MAX,
+        };
+        ensure!(
+            a.3.abs_diff(b.3) <= most,
+            "an event at (x, y) = ({}, {}) came back {} us off, promised are {most}; please report \
+             this",
+            a.1,
+            a.0,
+            a.3.abs_diff(b.3)
+        );
+    }
+    Ok(())
+}
+
+/// Sorted: events of one place and polarity that are paired in their order are off by the least.
+fn keys(events: &[Event]) -> Vec<Key> {
+    let key = |event: &Event| (event.y, event.x, event.polarity, event.t_us);
+    let mut keys: Vec<Key> = events.iter().map(key).collect();
+    keys.sort_unstable();
+    keys
+}
+
+#[cfg(test)]
+mod tests {
+    use event_types::test_events::event;
+
+    use super::*;
+
+    #[test]
+    fn promises_are_held_to_the_microsecond() {
+        let original = [
+            event(5, 1, 2, true),
+            event(9, 1, 2, true),
+            event(9, 3, 2, false),
+        ];
+        let mut decoded = original;
+        decoded.reverse();
+        check(Promise::Lossless, &original, &decoded).unwrap();
+        decoded[1].t_us += 4;
+        assert!(check(Promise::Lossless, &original, &decoded).is_err());
+        check(Promise::Within(4), &original, &decoded).unwrap();
+        assert!(check(Promise::Within(3), &original, &decoded).is_err());
+        decoded[1].t_us = u64::MAX;
+        check(Promise::Counts, &original, &decoded).unwrap();
+        decoded[1].polarity = Polarity::Off;
+        assert!(check(Promise::Counts, &original, &decoded).is_err());
+        assert!(check(Promise::Counts, &original, &decoded[1..]).is_err());
+        // The same places, but not as often.
+        let twice = [original[0], original[0], original[2]];
+        assert!(check(Promise::Lossless, &original, &twice).is_err());
+    }
+}

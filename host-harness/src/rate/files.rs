@@ -1,0 +1,85 @@
+//! Event-file formats as peers: whole files by the project's writers, read back by its readers.
+
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::{Context, Result, ensure};
+use eecvs_bench::source::Source;
+use eecvs_nostd::Event;
+use event_files::evt::evt2::Evt2Writer;
+use event_files::evt::evt3::Evt3Writer;
+use event_files::{Aedat4Writer, Compression, EventWriter};
+
+/// A format.
+#[derive(Debug, Clone, Copy)]
+pub enum Format {
+    /// EVT 2.0 words.
+    Evt2,
+    /// EVT 3.0 words.
+    Evt3,
+    /// AEDAT 4.0, its packets compressed.
+    Aedat4(Compression),
+}
+
+impl Format {
+    /// Writes a recording and reads it again: bytes of the file, seconds spent writing, the events.
+    ///
+    /// # Errors
+    /// I/O, or a recording that the format cannot hold.
+    pub fn round_trip(self, source: &Source) -> Result<(usize, f64, Vec<Event>)> {
+        let folder = tempfile::tempdir().context("a temporary folder")?;
+        let path = folder.path().join("recording");
+        let started = Instant::now();
+        let mut writer = self.create(&path, source)?;
+        writer.write(&source.events)?;
+        writer.finish()?;
+        let seconds = started.elapsed().as_secs_f64();
+        let bytes = std::fs::metadata(&path).context("the file's size")?.len();
+        let mut reader = event_files::open(&path, Some(source.sensor))?;
+        ensure!(reader.sensor() == source.sensor, "another sensor came back");
+        let mut events = Vec::with_capacity(source.events.len());
+        while reader.read(&mut events)? > 0 {}
+        Ok((usize::try_from(bytes)?, seconds, events))
+    }
+
+    fn create(self, path: &Path, source: &Source) -> Result<Box<dyn EventWriter>> {
+        let sensor = source.sensor;
+        Ok(match self {
+            Self::Evt2 => Box::new(Evt2Writer::create(path, sensor)?),
+            Self::Evt3 => Box::new(Evt3Writer::create(path, sensor)?),
+            Self::Aedat4(compression) => {
+                Box::new(Aedat4Writer::with_compression(path, sensor, compression)?)
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_bench::source::scenes;
+
+    use super::*;
+    use crate::rate::check::{Promise, check};
+    use crate::rate::lossless::ZSTD;
+
+    #[test]
+    fn every_format_gives_the_events_back() {
+        let source = scenes(30_000).unwrap().remove(0);
+        let bytes: Vec<usize> = [
+            Format::Evt2,
+            Format::Evt3,
+            Format::Aedat4(Compression::LZ4),
+            Format::Aedat4(ZSTD),
+        ]
+        .into_iter()
+        .map(|format| {
+            let (bytes, _, events) = format.round_trip(&source).unwrap();
+            check(Promise::Lossless, &source.events, &events).unwrap();
+            bytes
+        })
+        .collect();
+        // 4 bytes an event and more; 16 that are compressed, the better with Zstandard.
+        assert!(bytes[0] > 4 * source.events.len(), "{bytes:?}");
+        assert!(bytes[3] < bytes[2], "{bytes:?}");
+    }
+}

@@ -1,0 +1,109 @@
+//! The lossless peers of the codec, and what each of them makes of a recording.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use eecvs_bench::source::Source;
+use eecvs_nostd::Event;
+use event_files::Compression;
+
+use super::files::Format;
+use super::{columns, squeeze};
+
+/// AEDAT 4.0's Zstandard, at the level that it has where none is asked for.
+#[cfg(any(feature = "zstd", test))]
+pub const ZSTD: Compression = Compression {
+    code: 3,
+    name: "ZSTD",
+    compress: |bytes| squeeze::zstd(bytes, 3).map_err(event_types::stream::Error::other),
+};
+
+/// A lossless way to keep events.
+#[derive(Debug, Clone, Copy)]
+pub enum Peer {
+    /// A file of events.
+    File(&'static str, Format),
+    /// The structure of arrays of [`columns`] through a general compressor, and back.
+    Columns(&'static str, Way, Way),
+}
+
+/// Bytes to other bytes.
+type Way = fn(&[u8]) -> Result<Vec<u8>>;
+
+/// Those that need no C library.
+const ALWAYS: [Peer; 4] = [
+    Peer::File("evt2", Format::Evt2),
+    Peer::File("evt3", Format::Evt3),
+    Peer::File("aedat4-lz4", Format::Aedat4(Compression::LZ4)),
+    Peer::Columns("xz-9", squeeze::xz, squeeze::unxz),
+];
+
+/// Those of the feature `zstd`.
+#[cfg(feature = "zstd")]
+const WITH_ZSTD: [Peer; 2] = [
+    Peer::File("aedat4-zstd", Format::Aedat4(ZSTD)),
+    Peer::Columns("zstd-19", |bytes| squeeze::zstd(bytes, 19), squeeze::unzstd),
+];
+#[cfg(not(feature = "zstd"))]
+const WITH_ZSTD: [Peer; 0] = [];
+
+/// Every peer that this program has.
+pub fn peers() -> impl ExactSizeIterator<Item = Peer> {
+    let all: Vec<Peer> = ALWAYS.into_iter().chain(WITH_ZSTD).collect();
+    all.into_iter()
+}
+
+/// What this program was built without; `None` where it has all peers.
+#[must_use]
+pub const fn missing() -> Option<&'static str> {
+    if cfg!(feature = "zstd") {
+        None
+    } else {
+        Some("no rows of zstd-19 and aedat4-zstd: build with --features zstd")
+    }
+}
+
+impl Peer {
+    /// As rows have it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::File(name, _) | Self::Columns(name, ..) => name,
+        }
+    }
+
+    /// Bytes of the file, seconds spent making it, and the events that it holds.
+    ///
+    /// # Errors
+    /// I/O, or a recording that the peer cannot hold.
+    pub fn round_trip(self, source: &Source) -> Result<(usize, f64, Vec<Event>)> {
+        match self {
+            Self::File(_, format) => format.round_trip(source),
+            Self::Columns(_, squeeze, open) => {
+                let started = Instant::now();
+                let bytes = squeeze(&columns::write(source.sensor, &source.events)?)?;
+                let seconds = started.elapsed().as_secs_f64();
+                let (_, events) = columns::read(&open(&bytes)?)?;
+                Ok((bytes.len(), seconds, events))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_bench::source::scenes;
+
+    use super::*;
+    use crate::rate::check::{Promise, check};
+
+    #[test]
+    fn every_peer_gives_the_events_back() {
+        let source = scenes(30_000).unwrap().remove(0);
+        for peer in peers() {
+            let (bytes, _, events) = peer.round_trip(&source).unwrap();
+            check(Promise::Lossless, &source.events, &events).unwrap();
+            assert!(bytes > source.events.len() / 8, "{}: {bytes}", peer.name());
+        }
+    }
+}

@@ -1,0 +1,376 @@
+//! Rate against distortion: the codec in both modes, and its peers.
+//!
+//! ```text
+//! recording -> codec | peer -> bytes -> bits per event
+//!                                -> decoder -> promise checked -> metrics, box volume -> row
+//! ```
+
+pub mod check;
+pub mod columns;
+pub mod files;
+pub mod lossless;
+pub mod ours;
+pub mod squeeze;
+pub mod volume;
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use eecvs_bench::record_file::{Name, name};
+use eecvs_bench::source::{Memory, Source, WINDOW_US};
+use eecvs_nostd::{Coder, Event, Fidelity, Hybrid, Transform};
+use event_metrics::{Comparison, compare};
+use serde::{Deserialize, Serialize};
+
+use crate::baseline::dense_array::{StoredArray, Window};
+use crate::baseline::representation::{self, Made, Representation};
+use crate::baseline::stored::Stored;
+use crate::baseline::tore::{self, Tore};
+use crate::baseline::voxel::Voxel;
+use check::{Promise, check};
+use volume::{BINS, Volume};
+
+/// How much is measured.
+#[derive(Debug, Clone, Copy)]
+pub struct Effort {
+    /// Length of an emulated scene.
+    pub scene_us: u64,
+    /// Tolerances of times, in us.
+    pub tolerances_us: &'static [u32],
+    /// B of mode `hybrid`.
+    pub bins: &'static [u16],
+    /// M of mode `transform`.
+    pub m: &'static [u8],
+    /// B of voxel grids.
+    pub voxel_bins: &'static [usize],
+}
+
+impl Effort {
+    /// For figures.
+    pub const FULL: Self = Self {
+        scene_us: 1_000_000,
+        tolerances_us: &[5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560, 5120],
+        bins: &[4, 8, 16, 32],
+        m: &[2, 4, 8, 16, 24, 32, 64],
+        voxel_bins: &[5, 8],
+    };
+    /// For a look whether everything works.
+    pub const QUICK: Self = Self {
+        scene_us: 100_000,
+        tolerances_us: &[40, 640],
+        bins: &[8],
+        m: &[8, 32],
+        voxel_bins: &[8],
+    };
+
+    /// Rows of a recording: times that [`measure`] calls `progress` for it.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        let hybrid = 2 * (1 + self.tolerances_us.len() + self.bins.len());
+        // Plain, and by the two coders.
+        let transform = 3 * Transform::ALL.len() * self.m.len();
+        let arrays = Stored::ALL.len() * (1 + self.voxel_bins.len());
+        hybrid + transform + lossless::peers().len() + arrays
+    }
+}
+
+/// One point; the fields are its JSON keys. `None` where the metric does not apply.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Its name.
+    pub recording: String,
+    /// `hybrid-dense`, `hybrid-fast`, `transform-dct`, `transform-dct-fast`, `transform-dct-dense`, ...,
+    /// or a peer's name.
+    #[serde(deserialize_with = "name")]
+    pub codec: Name,
+    /// `lossless`, `50 us`, `8 bins`, `M = 16`; type and bins of an array.
+    pub setting: String,
+    /// 8 * bytes of the files / events.
+    pub bits_per_event: f64,
+    /// As `eecvs compare` has it.
+    pub emd_pixel_us: Option<f64>,
+    /// As `eecvs compare` has it.
+    pub mse: Option<f64>,
+    /// As `eecvs compare` has it.
+    pub ssim: Option<f64>,
+    /// Normalised error of the box volume of the decoded events, or of a voxel grid of 8 bins.
+    pub volume_nmse: Option<f64>,
+    /// The same of the box volume straight from coefficients; `None` for all but mode `transform`.
+    pub coefficients_nmse: Option<f64>,
+    /// Spent encoding, one thread, one run; of an array, on its active pixels.
+    pub seconds: f64,
+}
+
+/// The name of a coder's rows.
+#[must_use]
+pub const fn coder_name(coder: Coder) -> &'static str {
+    match coder {
+        Coder::Dense => "hybrid-dense",
+        Coder::Fast => "hybrid-fast",
+    }
+}
+
+/// The name of a transform's rows.
+#[must_use]
+pub const fn transform_name(transform: Transform) -> &'static str {
+    match transform {
+        Transform::Dct => "transform-dct",
+        Transform::Dtft => "transform-dtft",
+        Transform::Dwt => "transform-dwt",
+    }
+}
+
+/// The name of its rows by an adaptive coder.
+#[must_use]
+pub const fn coded_name(transform: Transform, coder: Coder) -> &'static str {
+    match (transform, coder) {
+        (Transform::Dct, Coder::Fast) => "transform-dct-fast",
+        (Transform::Dct, Coder::Dense) => "transform-dct-dense",
+        (Transform::Dtft, Coder::Fast) => "transform-dtft-fast",
+        (Transform::Dtft, Coder::Dense) => "transform-dtft-dense",
+        (Transform::Dwt, Coder::Fast) => "transform-dwt-fast",
+        (Transform::Dwt, Coder::Dense) => "transform-dwt-dense",
+    }
+}
+
+/// Measures everything on a recording; `progress` is called after each row.
+///
+/// # Errors
+/// A codec or a peer that does not give back what it promises; the message names it.
+pub fn measure(source: &Source, effort: Effort, progress: &mut dyn FnMut()) -> Result<Vec<Row>> {
+    let mut subject = Subject {
+        source,
+        volume: ours::grid(source).volume(&source.events),
+        rows: Vec::new(),
+        progress,
+    };
+    for coder in [Coder::Dense, Coder::Fast] {
+        subject.hybrid(coder, Fidelity::Lossless)?;
+        for tolerance_us in effort.tolerances_us {
+            subject.hybrid(coder, Fidelity::ToleranceUs(*tolerance_us))?;
+        }
+        for bins in effort.bins {
+            subject.hybrid(coder, Fidelity::Bins(*bins))?;
+        }
+    }
+    for transform in Transform::ALL {
+        for m in effort.m {
+            subject.transform(transform, *m)?;
+        }
+    }
+    for peer in lossless::peers() {
+        subject.peer(peer)?;
+    }
+    for stored in Stored::ALL {
+        subject.tore(stored)?;
+    }
+    for bins in effort.voxel_bins {
+        for stored in Stored::ALL {
+            subject.voxel(*bins, stored)?;
+        }
+    }
+    Ok(subject.rows)
+}
+
+/// A recording being measured.
+struct Subject<'s> {
+    source: &'s Source,
+    volume: Volume,
+    rows: Vec<Row>,
+    progress: &'s mut dyn FnMut(),
+}
+
+impl Subject<'_> {
+    fn hybrid(&mut self, coder: Coder, fidelity: Fidelity) -> Result<()> {
+        let (promise, setting) = match fidelity {
+            Fidelity::Lossless => (Promise::Lossless, "lossless".to_owned()),
+            Fidelity::ToleranceUs(us) => (Promise::Within(us.into()), format!("{us} us")),
+            Fidelity::Bins(bins) => (Promise::Counts, format!("{bins} bins")),
+        };
+        let codec = coder_name(coder);
+        let measured = || -> Result<Row> {
+            let decoded = ours::hybrid(self.source, Hybrid { coder, fidelity })?;
+            let row = self.row(codec, &setting, decoded.file.len(), decoded.seconds);
+            self.promised(row, promise, &decoded.events)
+        };
+        let row = measured().with_context(|| self.name(codec, &setting))?;
+        self.push(row);
+        Ok(())
+    }
+
+    fn transform(&mut self, transform: Transform, m: u8) -> Result<()> {
+        let (codec, setting) = (transform_name(transform), format!("M = {m}"));
+        let measured = || -> Result<(Row, Vec<u8>)> {
+            let decoded = ours::transform(self.source, transform, m)?;
+            let row = self.row(codec, &setting, decoded.file.len(), decoded.seconds);
+            let row = self.promised(row, Promise::Counts, &decoded.events)?;
+            let volume = decoded.coefficients.as_ref();
+            let row = Row {
+                coefficients_nmse: volume.and_then(|volume| self.volume.nmse(volume)),
+                ..row
+            };
+            Ok((row, decoded.file))
+        };
+        let (row, plain) = measured().with_context(|| self.name(codec, &setting))?;
+        self.push(row.clone());
+        for coder in [Coder::Fast, Coder::Dense] {
+            let codec = coded_name(transform, coder);
+            let coded = ours::coded(self.source, transform, m, coder, &plain);
+            let (bytes, seconds) = coded.with_context(|| self.name(codec, &setting))?;
+            // What is decoded is the same.
+            let of = self.row(codec, &setting, bytes, seconds);
+            self.push(Row {
+                codec,
+                bits_per_event: of.bits_per_event,
+                seconds,
+                ..row.clone()
+            });
+        }
+        Ok(())
+    }
+
+    fn peer(&mut self, peer: lossless::Peer) -> Result<()> {
+        let (codec, setting) = (peer.name(), "lossless");
+        let measured = || -> Result<Row> {
+            let (bytes, seconds, events) = peer.round_trip(self.source)?;
+            let row = self.row(codec, setting, bytes, seconds);
+            self.promised(row, Promise::Lossless, &events)
+        };
+        let row = measured().with_context(|| self.name(codec, setting))?;
+        self.push(row);
+        Ok(())
+    }
+
+    fn tore(&mut self, stored: Stored) -> Result<()> {
+        let mut tore = Tore::new(self.source.sensor, tore::DEPTH);
+        let setting = tore.range().type_name(stored);
+        let (made, events) = self.arrays(&mut tore, stored, &mut |_, _| ())?;
+        let row = self.row("tore", setting, made.array_bytes, made.seconds);
+        let row = self.distorted(row, &events)?;
+        self.push(row);
+        Ok(())
+    }
+
+    /// With the metrics of frames alone, and the volume of a grid of as many bins as it is.
+    fn voxel(&mut self, bins: usize, stored: Stored) -> Result<()> {
+        let mut voxel = Voxel::new(self.source.sensor, bins);
+        let setting = format!("{bins} bins, {}", voxel.range().type_name(stored));
+        let (grid, sensor) = (ours::grid(self.source), self.source.sensor);
+        let mut cells = Vec::new();
+        let has_volume = bins == BINS;
+        let (made, events) = self.arrays(&mut voxel, stored, &mut |window, array| {
+            if !has_volume {
+                return;
+            }
+            for (pixel, codes) in array.pixels.iter().zip(array.codes.chunks(bins)) {
+                let (x, y) = sensor.pixel(*pixel).unwrap_or_default();
+                let first = grid.cell(window.number, x, y, 0);
+                let values = codes.iter().map(|code| array.quantiser.value(*code));
+                cells.extend((first..).zip(values));
+            }
+        })?;
+        let row = self.row("voxel", &setting, made.array_bytes, made.seconds);
+        let found = self.compare(&events)?;
+        let volume = has_volume.then(|| Volume::new(cells));
+        self.push(Row {
+            mse: Some(found.mse),
+            ssim: Some(found.ssim),
+            volume_nmse: volume.and_then(|volume| self.volume.nmse(&volume)),
+            ..row
+        });
+        Ok(())
+    }
+
+    /// Arrays of a recording, and the events that are found in them.
+    fn arrays<R: Representation>(
+        &self,
+        representation: &mut R,
+        stored: Stored,
+        visit: &mut dyn FnMut(&Window<'_>, &StoredArray),
+    ) -> Result<(Made, Vec<Event>)> {
+        let (source, mut events) = (self.source, Vec::new());
+        let made = representation::arrays(
+            representation,
+            source,
+            stored,
+            &mut |representation, window, array| {
+                visit(window, array);
+                let sensor = source.sensor;
+                events.extend(representation::decode(
+                    representation,
+                    sensor,
+                    window,
+                    array,
+                ));
+                Ok(())
+            },
+        )?;
+        Ok((made, events))
+    }
+
+    fn push(&mut self, row: Row) {
+        self.rows.push(row);
+        (self.progress)();
+    }
+
+    fn name(&self, codec: &str, setting: &str) -> String {
+        format!("{}, {codec}, {setting}", self.source.name)
+    }
+
+    /// Without any metric.
+    fn row(&self, codec: &'static str, setting: &str, bytes: usize, seconds: f64) -> Row {
+        Row {
+            recording: self.source.name.clone(),
+            codec,
+            setting: setting.to_owned(),
+            bits_per_event: 8.0 * bytes as f64 / self.source.events.len() as f64,
+            emd_pixel_us: None,
+            mse: None,
+            ssim: None,
+            volume_nmse: None,
+            coefficients_nmse: None,
+            seconds,
+        }
+    }
+
+    /// With the metrics of events that must keep a promise. What is lossless is not compared again:
+    /// it is 0.
+    fn promised(&self, row: Row, promise: Promise, events: &[Event]) -> Result<Row> {
+        check(promise, &self.source.events, events)?;
+        if promise == Promise::Lossless {
+            return Ok(Row {
+                emd_pixel_us: Some(0.0),
+                mse: Some(0.0),
+                ssim: Some(1.0),
+                volume_nmse: Some(0.0),
+                ..row
+            });
+        }
+        self.distorted(row, events)
+    }
+
+    fn distorted(&self, row: Row, events: &[Event]) -> Result<Row> {
+        let found = self.compare(events)?;
+        let volume = ours::grid(self.source).volume(events);
+        Ok(Row {
+            emd_pixel_us: Some(found.emd_pixel_us),
+            mse: Some(found.mse),
+            ssim: Some(found.ssim),
+            volume_nmse: self.volume.nmse(&volume),
+            ..row
+        })
+    }
+
+    fn compare(&self, events: &[Event]) -> Result<Comparison> {
+        let (sensor, events) = (self.source.sensor, Arc::from(events));
+        Ok(compare(
+            &|| Ok(Box::new(self.source.reader())),
+            &|| Ok(Box::new(Memory::new(sensor, Arc::clone(&events)))),
+            WINDOW_US.into(),
+            &mut |_| (),
+        )?)
+    }
+}
+
+#[cfg(test)]
+mod tests;

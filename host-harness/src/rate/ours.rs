@@ -1,0 +1,121 @@
+//! The codec itself: a recording to a file in memory, and back.
+
+use anyhow::{Context, Result, ensure};
+use eecvs::decode::WindowReader;
+use eecvs::frame_file::FrameReader;
+use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::volume::inverse::Inverse;
+use eecvs_bench::source::{Source, WINDOW_US};
+use eecvs_nostd::{Coder, Event, Hybrid, Mode, Thresholds, Transform};
+
+use super::volume::{BINS, Grid, Volume};
+use crate::round_trip::{Encoded, config, decode};
+
+/// A recording encoded and decoded.
+pub struct Decoded {
+    /// The file, headers and all.
+    pub file: Vec<u8>,
+    /// Spent encoding, one thread.
+    pub seconds: f64,
+    /// What came back.
+    pub events: Vec<Event>,
+    /// The box volume straight from the coefficients, the decoder's integral over each bin; `None` in
+    /// mode `hybrid`.
+    pub coefficients: Option<Volume>,
+}
+
+/// In mode `hybrid`.
+///
+/// # Errors
+/// A frame that does not decode, or an event that is not in any.
+pub fn hybrid(source: &Source, hybrid: Hybrid) -> Result<Decoded> {
+    round_trip(source, Mode::Hybrid(hybrid), None, 16)
+}
+
+/// In mode `transform`, with the default grid and quantiser.
+///
+/// # Errors
+/// A frame that does not decode, or an event that is not in any.
+pub fn transform(source: &Source, transform: Transform, m: u8) -> Result<Decoded> {
+    round_trip(source, Mode::Transform, Some(transform), m)
+}
+
+/// The same coefficients by an adaptive coder: bytes of the file, and seconds spent encoding on one
+/// thread. `plain` is the file of plain codes.
+///
+/// # Errors
+/// A frame that does not decode, or a coefficient that is not the plain one's.
+pub fn coded(
+    source: &Source,
+    transform: Transform,
+    m: u8,
+    coder: Coder,
+    plain: &[u8],
+) -> Result<(usize, f64)> {
+    let mode = Mode::Coefficients(coder);
+    let Encoded { file, seconds, .. } = encoded(source, mode, Some(transform), m)?;
+    let mut windows = [plain, &file].map(|file| WindowReader::new(FrameReader::new(file)));
+    let [plain, coded] = &mut windows;
+    loop {
+        let (plain, coded) = (plain.next_window()?, coded.next_window()?);
+        let pixels = [&plain, &coded].map(|window| window.as_ref().map(|window| &window.pixels));
+        ensure!(
+            pixels[0] == pixels[1],
+            "its coefficients are not those of plain codes; please report this"
+        );
+        if plain.is_none() {
+            return Ok((file.len(), seconds));
+        }
+    }
+}
+
+/// # Errors
+/// A frame that does not decode, or an event that is not in any.
+fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) -> Result<Decoded> {
+    let Encoded { file, seconds, .. } = encoded(source, mode, transform, m)?;
+    let grid = grid(source);
+    let is_transform = mode.is_transform();
+    let mut cells = Vec::new();
+    // Tables of one transform, grid and M: all windows' are the same here.
+    let mut bins = None;
+    let events = decode(&file, Finder::Peaks, &mut |window| {
+        let header = &window.header;
+        if !is_transform {
+            return Ok(());
+        }
+        let (number, since_us) = grid.window(header.t0_us);
+        ensure!(
+            since_us == 0 && header.duration_us == WINDOW_US,
+            "a window was closed early, and its volume is no other's: make the window shorter"
+        );
+        let bins = bins.get_or_insert_with(|| Inverse::new(header.transform, header.grid, BINS));
+        for pixel in &window.pixels {
+            cells.extend((0..BINS).map(|bin| {
+                let cell = grid.cell(number, pixel.x, pixel.y, bin);
+                (cell, bins.value(pixel, bin))
+            }));
+        }
+        Ok(())
+    })?;
+    Ok(Decoded {
+        file,
+        seconds,
+        events,
+        coefficients: is_transform.then(|| Volume::new(cells)),
+    })
+}
+
+/// On one thread.
+fn encoded(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) -> Result<Encoded> {
+    let thresholds = Thresholds::new(0, 0).context("thresholds of 0")?;
+    Encoded::new(source, config(source, thresholds, mode, transform, m))
+}
+
+/// Where its volumes lie.
+#[must_use]
+pub fn grid(source: &Source) -> Grid {
+    Grid {
+        start_us: source.start_us(),
+        sensor: source.sensor,
+    }
+}
