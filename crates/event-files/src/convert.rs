@@ -52,7 +52,8 @@ pub struct Conversion {
 }
 
 /// Outcome of [`convert`].
-#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Converted {
     /// Events read: with an index, those of the times that were asked for, and a few around them.
     pub events_in: u64,
@@ -61,12 +62,12 @@ pub struct Converted {
     /// What the output's format could not hold.
     pub lost: Lost,
     /// What the input's reader took to be so, and what it left out.
-    #[serde(flatten)]
+    #[cfg_attr(feature = "serde", serde(flatten))]
     pub findings: Findings,
     /// Where and why the input ended before its end; everything before is in the output.
     pub damage: Option<String>,
     /// With `damage`: the file that has it, which is another than the output where that was there already.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub incomplete_output: Option<PathBuf>,
 }
 

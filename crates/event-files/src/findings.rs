@@ -2,16 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
-
 use crate::EventReader;
 
 /// What was taken to be so, and what was no event or was left out.
 /// The fields are the keys of a command's JSON.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Findings {
     /// What the file does not state, or states otherwise than it was read: what, as what, and why.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Vec::is_empty"))]
     pub assumptions: Vec<String>,
     /// Items that are no events, or were left out, by their kind.
     pub skipped: BTreeMap<String, u64>,

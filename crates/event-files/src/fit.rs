@@ -1,12 +1,12 @@
 //! Events made to fit a format that cannot hold them all, with an account of what that took.
 
 use event_types::{Event, Sensor};
-use serde::Serialize;
 
 use crate::Limits;
 
 /// What fitting took of a recording; all 0 where nothing was lost.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Lost {
     /// Microseconds that were taken off every time.
     pub shifted_us: u64,

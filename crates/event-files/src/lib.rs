@@ -3,7 +3,7 @@
 //! ```no_run
 //! use std::path::Path;
 //!
-//! use event_files::{EventReader, Reading};
+//! use event_files::Reading;
 //!
 //! fn main() -> Result<(), event_files::Error> {
 //!     let mut reader = event_files::open(Path::new("recording.raw"), Reading::default())?;
@@ -36,6 +36,7 @@
 //! | `mat` | MATLAB |
 //! | `npz` | NumPy, and zip files of one recording |
 //! | `ros` | bags of ROS 1 and ROS 2, MCAP among them |
+//! | `serde` | no format: what was found can be serialised |
 //! | `info` | no format: `recording_info`, with hashes |
 // A build without some formats does not use all that they share.
 #![cfg_attr(

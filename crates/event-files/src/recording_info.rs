@@ -4,7 +4,6 @@ use std::path::Path;
 
 use event_types::stream::Result;
 use event_types::{Event, Polarity};
-use serde::Serialize;
 use sha2::{Digest, Sha256};
 use twox_hash::XxHash3_128;
 
@@ -13,7 +12,8 @@ use crate::findings::Findings;
 use crate::{EventReader, Intact, Reading};
 
 /// Counts, times and hash of a recording; the fields are the keys of `eecvs info --json`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct RecordingInfo {
     /// Camera or chip, where the file names it.
     pub sensor: Option<String>,
@@ -52,10 +52,10 @@ pub struct RecordingInfo {
     /// in any order; lower-case hex.
     pub xxh128_sum_events: String,
     /// What the file does not say and its reader took to be so, and what it holds besides events.
-    #[serde(flatten)]
+    #[cfg_attr(feature = "serde", serde(flatten))]
     pub findings: Findings,
     /// Where and why the recording ended before its end; the rest is of what stands before.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub damage: Option<String>,
 }
 
