@@ -2,7 +2,6 @@
 
 use std::num::{NonZeroU32, NonZeroUsize};
 
-use anyhow::Result;
 use eecvs::decode::{WindowEvents, WindowReader};
 use eecvs::encode::{EncodeSummary, Limits, encode};
 use eecvs::frame_file::FrameReader;
@@ -230,10 +229,10 @@ proptest! {
         let config = Config { mode: hybrid(Coder::Fast), ..config };
         let (found, _) = decoded(&frames(&events, config, Limits::default(), 1, 50).1);
         let compared = |b: &[Event]| {
-            let open = |events: &[Event]| -> Result<Box<dyn EventReader>> {
+            let open = |events: &[Event]| -> event_files::Result<Box<dyn EventReader>> {
                 Ok(Box::new(Source::new(events, 64)))
             };
-            compare(&|| open(&events).map_err(event_types::stream::Error::other), &|| open(b).map_err(event_types::stream::Error::other), window_us, &mut |_| {}).expect("no errors")
+            compare(&|| open(&events), &|| open(b), window_us, &mut |_| {}).expect("no errors")
         };
         let all = compared(&found);
         prop_assert_eq!((all.exact_fraction, all.mse, all.emd_pixel_us), (1.0, 0.0, 0.0));

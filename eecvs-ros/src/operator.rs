@@ -168,7 +168,7 @@ impl Operator for Eecvs {
             &mut frames,
             &mut |_| {},
         );
-        frames.finish(Ok(encoded?))
+        frames.finish(encoded.map_err(Into::into))
     }
 
     fn decoder(&self) -> Box<dyn Decoder> {

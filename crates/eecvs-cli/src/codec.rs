@@ -307,9 +307,7 @@ impl CodecOptions {
             keep_order: self.keep_order,
         })
     }
-}
 
-impl CodecOptions {
     /// Configuration of an encoder on a microcontroller.
     ///
     /// # Errors

@@ -17,7 +17,7 @@ use event_types::bail;
 use event_types::stream::{BATCH_EVENTS, Context, EventReader, Result};
 
 use crate::exact_density::{Density, interpolated_pico};
-use crate::window_counts::{WINDOW_EVENTS_MAX, WindowCount, WindowCounter};
+use crate::window_counts::{CAPACITY, WindowCount, WindowCounter};
 
 /// Thresholds of a calibration set and what they were computed from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,13 +50,13 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// A calibration over windows of `window_us` microseconds and at most [`WINDOW_EVENTS_MAX`]
+    /// A calibration over windows of `window_us` microseconds and at most [`CAPACITY`]
     /// events.
     #[must_use]
     pub fn new(window_us: NonZeroU32) -> Self {
         Self {
             window_us,
-            capacity: WINDOW_EVENTS_MAX,
+            capacity: CAPACITY,
             windows: BTreeMap::new(),
             events: 0,
             events_late: 0,
@@ -218,7 +218,7 @@ mod tests {
                 })
                 .collect();
             if batch.is_empty() && self.damaged {
-                bail!(Refused, "memory: damaged");
+                bail!(Damaged, "memory: damaged");
             }
             self.next += batch.len();
             events.extend(&batch);

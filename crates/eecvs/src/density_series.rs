@@ -8,7 +8,7 @@ use event_types::stream::{Context, Error, EventReader, Result};
 use serde::Serialize;
 
 use crate::frame_file::FrameReader;
-use crate::window_counts::{WINDOW_EVENTS_MAX, WindowCount, WindowCounter};
+use crate::window_counts::{CAPACITY, WindowCount, WindowCounter};
 
 /// One window with events; the fields are the JSON keys.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -86,7 +86,7 @@ pub fn of_recording<E: From<Error>>(
     each: &mut dyn FnMut(WindowDensity) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut series = DensitySeries::new(reader.sensor(), u64::from(window_us.get()), thresholds);
-    let mut counter = WindowCounter::new(window_us, WINDOW_EVENTS_MAX);
+    let mut counter = WindowCounter::new(window_us, CAPACITY);
     let mut take =
         |window: WindowCount| each(series.add(window.t0_us, window.duration_us, window.events));
     let mut events = Vec::new();

@@ -105,7 +105,7 @@ pub fn pico_from_decimal(text: &str) -> Result<u64> {
     let too_large = || {
         let largest = decimal(u64::MAX);
         error!(
-            Refused,
+            Damaged,
             "{text} is too large: a threshold is at most {largest} events per pixel per second"
         )
     };
@@ -118,7 +118,7 @@ pub fn pico_from_decimal(text: &str) -> Result<u64> {
     let digits = format!("{whole}{fraction}");
     if digits.is_empty() || !digits.bytes().all(|b| b.is_ascii_digit()) {
         bail!(
-            Refused,
+            Damaged,
             "{text} is not a finite number: write a decimal number such as 0.4"
         );
     }
@@ -128,7 +128,7 @@ pub fn pico_from_decimal(text: &str) -> Result<u64> {
     }
     if negative {
         bail!(
-            Refused,
+            Damaged,
             "{text} is negative: write a number of events per pixel per second, 0 or above"
         );
     }

@@ -21,7 +21,7 @@ pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
         .len();
     ensure!(
         size <= BYTES_MAX,
-        Refused,
+        Damaged,
         "{name}: {size} bytes are more than a list of pixels has"
     );
     let text =
@@ -43,7 +43,7 @@ pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
         let (x, y) = pixel;
         ensure!(
             sensor.contains(x, y),
-            Refused,
+            Damaged,
             "{name}: line {}: {x},{y} is outside of the sensor of {} x {}",
             number + 1,
             sensor.width,

@@ -127,14 +127,14 @@ tau_high = {}
             })?;
         if bytes.len() as u64 > FILE_BYTES_MAX {
             bail!(
-                Refused,
+                Damaged,
                 "{name}: larger than {FILE_BYTES_MAX} bytes: this is no thresholds file"
             );
         }
         let text = String::from_utf8(bytes).map_err(|error| {
             let offset = error.utf8_error().valid_up_to();
             error!(
-                Refused,
+                Damaged,
                 "{name}: byte {offset} is not UTF-8 text: save the file as UTF-8 TOML"
             )
         })?;
@@ -154,7 +154,7 @@ tau_high = {}
             let line = error.span().map_or(1, |span| line_at(text, span.start));
             let message = error.message().replace('\n', ", ");
             error!(
-                Refused,
+                Damaged,
                 "{name}: line {line}: not valid TOML ({message}): correct this line"
             )
         })?;
@@ -191,7 +191,7 @@ tau_high = {}
                     })?;
                 }
                 _ => bail!(
-                    Refused,
+                    Damaged,
                     "{}: unknown key: remove it; the keys are tau_low, tau_high, window_us, \
                      windows and sources",
                     here()
@@ -205,7 +205,7 @@ tau_high = {}
         let (tau_high_pico, line) = tau_high.with_context(|| missing("tau_high"))?;
         if tau_low_pico > tau_high_pico {
             bail!(
-                Refused,
+                Damaged,
                 "{name}: line {line}: tau_high = {} is below tau_low = {}: raise it or lower \
                  tau_low",
                 decimal(tau_high_pico),
@@ -227,7 +227,7 @@ fn threshold(value: &Spanned<DeValue<'_>>) -> Result<u64> {
         DeValue::Float(float) => pico_from_decimal(float.as_str()),
         DeValue::Integer(integer) if integer.radix() == 10 => pico_from_decimal(integer.as_str()),
         other => bail!(
-            Refused,
+            Damaged,
             "must be a decimal number without quotes such as 0.4, not a {}",
             other.type_str()
         ),

@@ -4,8 +4,10 @@ use std::num::{NonZeroU32, NonZeroUsize};
 
 use event_types::Event;
 
-/// Events that the host holds in one window at the most, after which it closes early: 2^20.
-pub const WINDOW_EVENTS_MAX: NonZeroUsize = NonZeroUsize::new(1 << 20).unwrap();
+use crate::storage::WINDOW_EVENTS;
+
+/// Events after which a window of the host closes early, where no other capacity is asked for.
+pub const CAPACITY: NonZeroUsize = NonZeroUsize::new(WINDOW_EVENTS).unwrap();
 
 /// One closed window; it has at least one event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -333,7 +333,7 @@ impl EventWriter for EsWriter {
             let (name, index, t_us) = (self.file.name(), self.events, event.t_us);
             let Some(step_us) = t_us.checked_sub(self.t_us) else {
                 bail!(
-                    Damaged,
+                    CannotHold,
                     "{name}: event {index}: time {t_us} us is before {} us, and times cannot step \
                      back in Event Stream: sort the events, or write .aedat4",
                     self.t_us

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 
-use event_types::stream::{Context, Error, ErrorKind, Result};
+use event_types::stream::{Context, Error, Result};
 use event_types::{Event, Sensor, bail, ensure, error};
 use tempfile::{NamedTempFile, TempPath};
 
@@ -475,14 +475,14 @@ pub fn create_as(path: &Path, format: &Format, sensor: Sensor) -> Result<Box<dyn
         let file = NamedTempFile::new()
             .with_context(|| format!("{}: no temporary file for it", path.display()))?;
         let file = file.into_temp_path();
-        let writer = create(&file, sensor).map_err(of_events)?;
+        let writer = create(&file, sensor)?;
         return Ok(Box::new(Later {
             writer,
             file,
             output,
         }));
     }
-    let writer = create(output.path(), sensor).map_err(of_events)?;
+    let writer = create(output.path(), sensor)?;
     Ok(Box::new(Kept { writer, output }))
 }
 
@@ -495,14 +495,6 @@ pub fn create_in_place(path: &Path, sensor: Sensor) -> Result<Box<dyn EventWrite
     create(path, sensor)
 }
 
-/// An error of a writer, whose events are not damaged but beyond its format.
-fn of_events(error: Error) -> Error {
-    match error.kind() {
-        ErrorKind::Damaged => error.of_kind(ErrorKind::CannotHold),
-        _ => error,
-    }
-}
-
 /// A recording that has its name when it is complete.
 struct Kept {
     // Closed before the output is removed or renamed.
@@ -512,7 +504,7 @@ struct Kept {
 
 impl EventWriter for Kept {
     fn write(&mut self, events: &[Event]) -> Result<()> {
-        self.writer.write(events).map_err(of_events)
+        self.writer.write(events)
     }
 
     fn finish(self: Box<Self>) -> Result<()> {
@@ -538,7 +530,7 @@ struct Later {
 
 impl EventWriter for Later {
     fn write(&mut self, events: &[Event]) -> Result<()> {
-        self.writer.write(events).map_err(of_events)
+        self.writer.write(events)
     }
 
     fn finish(self: Box<Self>) -> Result<()> {

@@ -108,7 +108,7 @@ pub use event_types::stream::{
     Ahead, Assumption, BATCH_EVENTS, Context, Error, ErrorKind, EventReader, EventWriter, Intact,
     MemoryReader, Pause, Result, SIZE_TAKEN, Skipped,
 };
-use event_types::{Event, Sensor, ensure};
+use event_types::{Event, Sensor, ensure, error};
 
 use crate::output::{create_bytes, final_path};
 #[cfg(feature = "aedat4")]
@@ -169,6 +169,16 @@ fn check_inside(name: &str, index: u64, event: &Event, sensor: Sensor) -> Result
         sensor.height
     );
     Ok(())
+}
+
+/// An event's time as a format of signed times has it.
+fn signed_us(name: &str, index: u64, t_us: u64) -> Result<i64> {
+    i64::try_from(t_us).map_err(|_| {
+        error!(
+            CannotHold,
+            "{name}: event {index}: time {t_us} us is above 2^63 us"
+        )
+    })
 }
 
 /// Message for a time that a format's wrapping field cannot follow.

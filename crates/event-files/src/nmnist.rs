@@ -18,8 +18,8 @@
 
 use std::path::Path;
 
-use event_types::stream::{Context, Result};
-use event_types::{Event, Polarity, Sensor};
+use event_types::stream::Result;
+use event_types::{Event, Polarity, Sensor, error};
 
 use crate::fit::beyond;
 use crate::format::{Format, Limits, Opening};
@@ -217,9 +217,9 @@ impl EventWriter for NmnistWriter {
     fn write(&mut self, events: &[Event]) -> Result<()> {
         for event in events {
             check_inside(self.file.name(), self.events, event, self.sensor)?;
-            let record = Self::record(event).with_context(|| {
+            let record = Self::record(event).ok_or_else(|| {
                 let what = beyond(FORMAT.limits, self.events, *event, None).unwrap_or_default();
-                format!("{}: {what}: write .aedat4", self.file.name())
+                error!(CannotHold, "{}: {what}: write .aedat4", self.file.name())
             })?;
             self.file.put(&record)?;
             self.events += 1;

@@ -268,7 +268,7 @@ impl Sensor {
             &mut out,
             &mut |_| {},
         );
-        out.finish(Ok(encoded?))
+        out.finish(encoded.map_err(Into::into))
     }
 }
 

@@ -16,8 +16,8 @@
 
 use std::path::Path;
 
-use event_types::stream::{Context, ErrorKind, Result};
-use event_types::{Event, Sensor, bail};
+use event_types::stream::{ErrorKind, Result};
+use event_types::{Event, Sensor, bail, error};
 
 use crate::aedat::chip::{Chip, Layout};
 use crate::format::{Format, Limits, Opening};
@@ -388,8 +388,9 @@ impl Aedat2Writer {
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let mut chips = [Chip::DVS128, Chip::DAVIS240].into_iter();
         let chip = chips.find(|chip| chip.sensor == sensor);
-        let chip = chip.with_context(|| {
-            format!(
+        let chip = chip.ok_or_else(|| {
+            error!(
+                CannotHold,
                 "{}: AEDAT 2.0 holds DVS128 (128x128) and DAVIS240C (240x180), not {}x{}: \
                  write .aedat4",
                 crate::output::final_path(path).display(),

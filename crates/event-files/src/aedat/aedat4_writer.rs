@@ -150,13 +150,7 @@ impl EventWriter for Aedat4Writer {
     fn write(&mut self, events: &[Event]) -> Result<()> {
         for event in events {
             crate::check_inside(&self.name, self.events, event, self.sensor)?;
-            let t = i64::try_from(event.t_us).ok().with_context(|| {
-                let (name, t_us) = (&self.name, event.t_us);
-                format!(
-                    "{name}: event {}: time {t_us} us is above 2^63 us",
-                    self.events
-                )
-            })?;
+            let t = crate::signed_us(&self.name, self.events, event.t_us)?;
             self.first_us = self.first_us.min(t);
             self.last_us = self.last_us.max(t);
             self.pending.extend_from_slice(&t.to_le_bytes());

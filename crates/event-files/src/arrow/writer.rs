@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use event_types::stream::{Context, Result};
+use event_types::stream::Result;
 use event_types::{Event, Sensor};
 
 use super::{CONTINUATION, MAGIC};
@@ -142,9 +142,7 @@ impl EventWriter for ArrowWriter {
         for event in events {
             crate::check_inside(self.file.name(), self.events, event, self.sensor)?;
             let (name, index, t_us) = (self.file.name(), self.events, event.t_us);
-            let time = i64::try_from(t_us).ok().with_context(|| {
-                format!("{name}: event {index}: time {t_us} us is above 2^63 us")
-            })?;
+            let time = crate::signed_us(name, index, t_us)?;
             let [t, x, y, p] = &mut self.columns;
             t.extend(time.to_le_bytes());
             x.extend(event.x.to_le_bytes());

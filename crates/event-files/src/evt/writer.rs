@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use event_types::stream::{Context, Result};
-use event_types::{Event, Sensor, bail};
+use event_types::stream::Result;
+use event_types::{Event, Sensor, bail, error};
 
 use crate::evt::header::{RawHeader, Words};
 use crate::output::sequential::Output;
@@ -85,7 +85,9 @@ impl RawWriter {
         let target = t_us >> self.low_bits;
         let is_new = high.last() != Some(target);
         while high.last() != Some(target) {
-            let next = high.step(target).with_context(|| self.refused(t_us))?;
+            let next = high
+                .step(target)
+                .ok_or_else(|| error!(CannotHold, "{}", self.refused(t_us)))?;
             self.put(&word(high.low(next)))?;
         }
         self.high = Some(high);

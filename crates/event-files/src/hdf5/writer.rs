@@ -62,9 +62,7 @@ impl Hdf5Writer {
     /// The event's time after the offset.
     fn relative_us(&mut self, t_us: u64) -> Result<i64> {
         let (name, index) = (&self.name, self.events);
-        let t = i64::try_from(t_us)
-            .ok()
-            .with_context(|| format!("{name}: event {index}: time {t_us} us is above 2^63 us"))?;
+        let t = crate::signed_us(name, index, t_us)?;
         let relative = t - *self.offset_us.get_or_insert(t);
         ensure!(
             relative < SPAN_MAX_US,

@@ -142,9 +142,7 @@ impl EventWriter for MatWriter {
         for event in events {
             let (name, index, t_us) = (&self.name, self.events, event.t_us);
             check_inside(name, index, event, self.sensor)?;
-            let t = i64::try_from(t_us).ok().with_context(|| {
-                format!("{name}: event {index}: time {t_us} us is above 2^63 us")
-            })?;
+            let t = crate::signed_us(name, index, t_us)?;
             ensure!(
                 index < VARIABLE_BYTES_MAX / EVENT_BYTES,
                 CannotHold,

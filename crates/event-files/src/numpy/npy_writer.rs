@@ -50,9 +50,7 @@ impl EventWriter for NpyWriter {
         for event in events {
             crate::check_inside(&self.name, self.events, event, self.sensor)?;
             let (name, index, t_us) = (&self.name, self.events, event.t_us);
-            let t = i64::try_from(t_us).ok().with_context(|| {
-                format!("{name}: event {index}: time {t_us} us is above 2^63 us")
-            })?;
+            let t = crate::signed_us(name, index, t_us)?;
             let mut bytes = [0; 13];
             let (time, rest) = bytes.split_at_mut(8);
             time.copy_from_slice(&t.to_le_bytes());

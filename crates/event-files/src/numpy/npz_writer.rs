@@ -60,9 +60,7 @@ impl EventWriter for NpzWriter {
         for event in events {
             crate::check_inside(&self.name, self.events, event, self.sensor)?;
             let (name, index, t_us) = (&self.name, self.events, event.t_us);
-            let t = i64::try_from(t_us).ok().with_context(|| {
-                format!("{name}: event {index}: time {t_us} us is above 2^63 us")
-            })?;
+            let t = crate::signed_us(name, index, t_us)?;
             let [t_column, x_column, y_column, p_column] = &mut self.columns;
             t_column
                 .write_all(&t.to_le_bytes())

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use event_types::stream::{Context, Result};
+use event_types::stream::Result;
 use event_types::{Event, Sensor};
 
 use super::table::{Cells, Column, GROUP_ROWS, Kind, Table, Values};
@@ -77,9 +77,7 @@ impl EventWriter for ParquetWriter {
         for event in events {
             crate::check_inside(self.table.name(), self.events, event, self.sensor)?;
             let (name, index, t_us) = (self.table.name(), self.events, event.t_us);
-            let time = i64::try_from(t_us).ok().with_context(|| {
-                format!("{name}: event {index}: time {t_us} us is above 2^63 us")
-            })?;
+            let time = crate::signed_us(name, index, t_us)?;
             let [t, x, y] = &mut self.columns;
             t.push(time);
             x.push(event.x.into());

@@ -5,7 +5,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use event_types::stream::{Context, Result};
-use event_types::{Event, Sensor, ensure};
+use event_types::{Event, Sensor};
 
 use crate::{EventWriter, create_file};
 
@@ -74,11 +74,7 @@ impl EventWriter for TextWriter {
                 polarity,
             } = event;
             let (name, index) = (&self.name, self.events);
-            ensure!(
-                i64::try_from(*t_us).is_ok(),
-                CannotHold,
-                "{name}: event {index}: time {t_us} us is above 2^63 us"
-            );
+            crate::signed_us(name, index, *t_us)?;
             writeln!(self.file, "{t_us}{s}{x}{s}{y}{s}{}", *polarity as u8)
                 .with_context(|| format!("{name}: cannot be written"))?;
             self.events += 1;
